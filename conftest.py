@@ -14,7 +14,6 @@ from pathlib import Path
 
 import pytest
 from made_robot_libraries import Arm, franka_library, rtde_library
-from made_s3 import s3_environment, s3_server
 
 # As in the Makefile, and before NumPy is imported: threads of two workers would wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -137,20 +136,6 @@ def unexamined(monkeypatch, tmp_path_factory) -> list[list[str]]:
 
     monkeypatch.setattr("tauext.check.before_training.examine", nothing_found)
     return calls
-
-
-@pytest.fixture
-def s3(monkeypatch, tmp_path, own_cache):
-    """A server without objects. What is staged is of one test, looks are of all."""
-    for folder in (tmp_path / "cache/tauext", own_cache / "tauext/checks"):
-        folder.mkdir(parents=True, exist_ok=True)
-    (tmp_path / "cache/tauext/checks").symlink_to(own_cache / "tauext/checks")
-    with s3_server() as server:
-        for name, value in s3_environment(server.port).items():
-            monkeypatch.setenv(name, value)
-        monkeypatch.setenv("TAUEXT_STORE_STALL_S", "60")  # no machine is so slow
-        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-        yield server
 
 
 # --- Libraries of makers, replaced by stand-ins.

@@ -32,9 +32,8 @@ from tauext.config import PAPER_CASES, ObserverConfig, TrainConfig
 from tauext.data.recording import Recording
 from tauext.data.servo import AMPERES, FROM_AMPERES
 from tauext.errors import TauextError
-from tauext.files.places import place_of
 from tauext.fit.torque_constants import GUESS, fit_torque_constants
-from tauext.monitor import known_load
+from tauext.monitor.known_load import weigh_constants
 from tauext.monitor.weighing import identify, load_frame, see
 from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
 from tauext.robot.read import load_tree
@@ -93,7 +92,7 @@ def of_arm(maker: Maker, seed: int, trained: bool) -> Iterator[dict[str, Any]]:
             yield about | {"what": "constant", "off": float(off), "error": float(share)}
         if trained and kind != "tool missing":
             with tempfile.TemporaryDirectory() as folder:
-                out = place_of(Path(folder) / "arm.tauext")
+                out = Path(folder) / "arm.tauext"
                 given = Given(maker.model, PAPER_CASES["exact"], [training], [], model=tree)
                 train_on_recordings(given, TrainConfig(recipe="prior"), out)
                 bundle = load_bundle(out)
@@ -131,11 +130,10 @@ def used(
     yield from forces(bundle, arm, pushes, about)
     weight = [recording for what, recording in loaded if what.mass_kg == KNOWN_KG]
     try:
-        known = known_load.weigh_constants(bundle, frame, [see(bundle, one) for one in weight], KNOWN_KG)
+        known = weigh_constants(bundle, frame, [see(bundle, one) for one in weight], KNOWN_KG)
     except (TauextError, IndexError):
         return
-    right = getattr(known_load, "corrected_bundle", lambda one, found: known_load.scaled_bundle(one, found.common))
-    weighed = right(bundle, known)
+    weighed = _core.corrected_bundle(bundle, known)
     about = about | {"constants": f"{kind}, weighed"}
     yield from weights(weighed, frame, loaded, about)
     yield from forces(weighed, arm, pushes, about)

@@ -33,11 +33,12 @@ from unseen.loads import (
 )
 from unseen.recordings import description, import_csv, simulate_takes
 
+from tauext._core import LoadFound, corrected_bundle
 from tauext.bundle.bundle_file import load_bundle
 from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
-from tauext.monitor.known_load import corrected_bundle, weigh_constants
-from tauext.monitor.weighing import LoadEstimate, identify, load_frame, mass_error, see
+from tauext.monitor.known_load import weigh_constants
+from tauext.monitor.weighing import identify, load_frame, mass_error, see
 
 WRONG = 0.1
 KINDS = {"true": ["--fit-torque-constants", "False"], "off": []}
@@ -145,7 +146,7 @@ def correct(folder: Path, maker: Maker, seed: int) -> dict:
         "common_error": known.common_error,
         "joints": known.factors.tolist(),
         "errors": known.errors.tolist(),
-        "shows": known.shows.tolist(),
+        "shows": known.shows,
     }
 
 
@@ -177,7 +178,7 @@ class Weighed:
     com_error_m: float = np.nan
 
     @classmethod
-    def of(cls, arm: str, kind: str, recording: str, truth: Carried, found: LoadEstimate) -> Weighed:
+    def of(cls, arm: str, kind: str, recording: str, truth: Carried, found: LoadFound) -> Weighed:
         off, error = (float(np.linalg.norm(one)) for one in (found.com_m - truth.com_m, found.com_error_m))
         return cls(arm, kind, recording, truth, found.verdict, found.mass_kg, mass_error(found), off, error)
 

@@ -31,8 +31,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from common import COLLISION, EPISODE_S, ROOT, arguments, head, table_row, write_tables
 from real_arms import prepare
-from tauext_fleet.prior import ODD, make_fleet_prior
+from tauext_fleet.prior import make_fleet_prior
 from tauext_fleet.prior_arms import fleet_arms
+from tauext_fleet.prior_content import ODD
 from tauext_lab.evaluate.free_motion import count_episodes
 from unseen.arms import makers
 from unseen.recordings import Take, description, import_csv, simulate_takes

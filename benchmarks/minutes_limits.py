@@ -20,10 +20,11 @@ from pathlib import Path
 import numpy as np
 from common import arguments, checkpoint, head, in_parallel, quantiles_ms, table_row, write_tables
 from tauext_lab.evaluate.collisions import find_collisions
+from tauext_lab.evaluate.config import EventsConfig
 from tauext_lab.evaluate.events import EventMeasures, Labels
 
 from tauext.bundle.bundle_file import load_bundle
-from tauext.config import PAPER_CASES, EventsConfig, TrainConfig
+from tauext.config import PAPER_CASES, TrainConfig
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import between
 from tauext.data.recording import Recording

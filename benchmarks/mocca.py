@@ -23,7 +23,7 @@ from tauext_lab.report.style import CONTACT, DPI, OBSERVER, OBSERVER_WIDTH, RC, 
 
 from tauext import _core
 from tauext.bundle.estimates import COLLISION, OK
-from tauext.config import PAPER_CASES, PAPER_GAIN_PER_S, CaseName, ObserverConfig, RecipeName, TrainConfig
+from tauext.config import PAPER_CASES, PAPER_GAIN_PER_S, CaseName, ObserverConfig, TrainConfig
 from tauext.data.dataset import Dataset, Split, load_dataset, save_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
@@ -38,7 +38,7 @@ INPUT_SCALE = (3.1637, 3.1348, 1.6633, 1.7640, 1.6633, 1.7640)
 """Divisors of q (wrapped to +-pi), dq and dq(k-1), found by fitting; stated nowhere."""
 OUTPUT_SCALE_NM = (76.704, 25.671)
 THRESHOLDS_NM = {"authors, 15.3/3.3": (15.296, 3.2605), "authors, later, 8.5/2.5": (8.48, 2.54)}
-TRAINED: dict[RecipeName, tuple[float | None, ...]] = {
+TRAINED: dict[str, tuple[float | None, ...]] = {
     "friction": (20.0,),
     "prior": (AUTHORS_GAIN_PER_S, 20.0, None),
     "tauext": (20.0,),
@@ -145,12 +145,12 @@ def write_dataset(segments: list[Segment], folder: Path) -> Dataset:
     return load_dataset(folder)
 
 
-def settings(recipe: RecipeName, gain_per_s: float | None, **others: Any) -> TrainConfig:
+def settings(recipe: str, gain_per_s: float | None, **others: Any) -> TrainConfig:
     return TrainConfig(recipe=recipe, margins=MARGINS, observer=ObserverConfig(gain_per_s=gain_per_s), **others)
 
 
 def held_out(
-    segments: list[Segment], dataset: Dataset, recipe: RecipeName, case: CaseName, gain_per_s: float | None, out: Path
+    segments: list[Segment], dataset: Dataset, recipe: str, case: CaseName, gain_per_s: float | None, out: Path
 ) -> tuple[Tested, list[_core.Bundle]]:
     """The recipe on each segment, trained on the others."""
     tested, bundles = new_test(), []

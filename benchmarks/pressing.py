@@ -48,7 +48,6 @@ from tauext.bundle.estimates import OK
 from tauext.config import AlarmConfig
 from tauext.data.dataset import Split, save_split
 from tauext.data.recording_file import save_recording
-from tauext.files.places import place_of
 from tauext.fit.tail import is_kept, rate_interval
 from tauext.train.calibrate import write_calibrated
 from tauext.train.limits import LIMITS
@@ -109,11 +108,11 @@ def bundle_of(presser: Presser, folder: Path, hours: float = CALIBRATION_H) -> _
         if bundle.servo.on:  # recordings of servos go through import: its limits are those of the training's minutes
             return bundle
         loaders = sessions_in_air(presser, "calibration", round(60 * hours / SESSION_MIN))
-        motion = LimitMotion("promised", AlarmConfig(), 1, calibration=loaders, out=place_of(promised))
+        motion = LimitMotion("promised", AlarmConfig(), 1, calibration=loaders, out=promised)
         limits = LIMITS["promised"](bundle, motion)
         print(presser.maker.name, limits["sentence"], flush=True)
-        write_calibrated(bundle, place_of(promised), json.loads(bundle.provenance) | {"limits": limits}, started)
-        remove_checkpoint(place_of(promised))
+        write_calibrated(bundle, promised, json.loads(bundle.provenance) | {"limits": limits}, started)
+        remove_checkpoint(promised)
     return load_bundle(promised)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow.parquet as pq
 from common import arguments, head, joined, table_row, tauext, write_tables
 from tauext_lab.evaluate.collisions import GRACE_S, Collision, find_collisions, first_rise, judge_latched
+from tauext_lab.evaluate.config import EventsConfig
 from tauext_lab.evaluate.errors import sensor_reference
 from tauext_lab.evaluate.events import event_time
 from tauext_lab.evaluate.free_motion import FALSE_ALARM_QUIET_S, beginnings, time_since_touch
@@ -24,7 +25,6 @@ from unseen.servos import description, servo_arm, so101, write_take
 
 from tauext import _core, estimate_recording
 from tauext.bundle.estimates import COLLISION, Estimates
-from tauext.config import EventsConfig
 from tauext.data.dataset import load_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording

@@ -29,7 +29,7 @@ from tauext.fit.core_backend import Adam, CoreBackend
 from tauext.fit.training_set import Setup, WindowSet
 
 try:
-    from tauext.fit import torch_backend
+    from tauext_lab import torch_backend
 
     torch, why_not = torch_backend.torch, ""
 except ConfigError as error:

@@ -136,6 +136,8 @@ class Fault:
     joint: int | None
     """Index of the joint that must be named; None: any or none."""
     broken: Callable[[Case], Broken]
+    words: str = ""
+    """Words of the evidence that name the fault, where several have one code."""
     follows: tuple[str, ...] = ()
     """Codes of findings that the fault rightly brings with it."""
     planar: bool = True
@@ -331,12 +333,12 @@ FAULTS = [
           lambda c: each(c, lambda r, k: at(r, "tau", J, np.negative))),
     Fault("effort of all joints negated", "effort-sign", J, lambda c: each(c, lambda r, k: {"tau": -r.tau})),
     Fault("effort times 1.6", "effort-scale", J, lambda c: each(c, lambda r, k: at(r, "tau", J, lambda x: 1.6 * x)),
-          follows=("effort-limit",)),
+          follows=("beyond-limit",)),
     Fault("effort is current, 8 to 14 Nm/A", "effort-scale", J,
           lambda c: each(c, lambda r, k: {"tau": r.tau / np.linspace(14, 8, len(r.joints))})),
     Fault("effort before a gear of 100", "effort-motor-side", J, lambda c: each(c, lambda r, k: {"tau": r.tau / 100})),
-    Fault("effort without gravity", "effort-gravity-compensated", J, uncompensated),
-    Fault("effort is external torque", "effort-external", J, external),
+    Fault("effort without gravity", "effort-compensated", J, uncompensated, "friction and inertia explain"),
+    Fault("effort is external torque", "effort-compensated", J, external, "gravity, inertia and friction explain"),
     Fault("torque 40 ms late", "torque-delay", J,
           lambda c: each(c, lambda r, k: {"tau": np.stack([shifted(x, 0.04, r.rate_hz) for x in r.tau.T], axis=1)})),
     Fault("torque of one joint 40 ms early", "torque-delay", J,
@@ -367,10 +369,10 @@ FAULTS = [
     Fault("a zero position off by 0.1 rad", "position-offset", J, lambda c: each(c, lambda r, k: displaced(r, 0.1))),
     Fault("a zero position off by -0.5 rad", "position-offset", J, lambda c: each(c, lambda r, k: displaced(r, -0.5))),
     Fault("a zero position off by 90 degrees", "position-offset", J,
-          lambda c: each(c, lambda r, k: displaced(r, np.pi / 2)), follows=("position-limit",)),
+          lambda c: each(c, lambda r, k: displaced(r, np.pi / 2)), follows=("beyond-limit",)),
     Fault("the arm stands, effort of one joint negated", "effort-sign", J,
           lambda c: standing(c, [-1.0 if j == J else 1.0 for j in range(c.tree.size)]),
-          follows=("never-moves", "clock-gaps", "smoothed")),
+          follows=("never-moves", "clock-gaps", "resolution")),
     Fault("torque saturated", "saturated", J,
           lambda c: each(c, lambda r, k: at(r, "tau", J, lambda x: np.minimum(x, most_nm(c))))),
     Fault("dq saturated", "saturated", J,
@@ -383,19 +385,21 @@ FAULTS = [
     Fault("half of the rows repeated", "repeated-rows", None, repeated),
     Fault("clock jitters", "clock-irregular", None, lambda c: each(c, jittered)),
     Fault("gaps", "clock-gaps", None, gapped),
-    Fault("torque smoothed", "smoothed", None,
-          lambda c: each(c, lambda r, k: {"tau": low_pass(low_pass(r.tau, 3.0, r.rate_hz), 3.0, r.rate_hz)})),
-    Fault("torque in coarse steps", "quantised", J,
-          lambda c: each(c, lambda r, k: at(r, "tau", J, lambda x: np.round(x / coarse_nm(c)) * coarse_nm(c)))),
+    Fault("torque smoothed", "resolution", None,
+          lambda c: each(c, lambda r, k: {"tau": low_pass(low_pass(r.tau, 3.0, r.rate_hz), 3.0, r.rate_hz)}),
+          "noise of the torque"),
+    Fault("torque in coarse steps", "resolution", J,
+          lambda c: each(c, lambda r, k: at(r, "tau", J, lambda x: np.round(x / coarse_nm(c)) * coarse_nm(c))),
+          "whole multiples"),
     Fault("a joint hardly moves", "excitation-low", J, lambda c: (c.anew(c.tree, still=J), c.urdf.read_text())),
     Fault("the arm stands", "never-moves", None,
           lambda c: (c.anew(c.tree, ranges=0.01, minutes=0.5), c.urdf.read_text()), follows=("clock-gaps",)),
     Fault("thirty seconds", "too-short", None, lambda c: (c.anew(c.tree, minutes=0.5), c.urdf.read_text())),
-    Fault("friction falls by 40 % as it warms up", "temperature-drift", J, drifting),
-    Fault("torque that grows by a fifth of its spread a minute", "torque-drift", J, growing),
-    Fault("unlabelled pushes in a third of the time", "torque-steps", J,
+    Fault("friction falls by 40 % as it warms up", "torque-changes", J, drifting, "friction changes"),
+    Fault("torque that grows by a fifth of its spread a minute", "torque-changes", J, growing, "zero changes"),
+    Fault("unlabelled pushes in a third of the time", "torque-changes", J,
           lambda c: each(c, lambda r, k: at(r, "tau", J, lambda x: x + 1.5 * x.std() * sometimes(r))),
-          follows=("odd-recording",)),
+          "off by", follows=("odd-recording",)),
     Fault("contacts in free motion", "contact-in-free-motion", None, lambda c: each(c, touched)),
     Fault("unlabelled impacts of 50 ms", "contact-in-free-motion", None,
           lambda c: each(c, lambda r, k: pushed(r, k, 0.05, 0.6))),
@@ -404,18 +408,19 @@ FAULTS = [
     Fault("unlabelled pushes of 2 s", "contact-in-free-motion", None,
           lambda c: each(c, lambda r, k: pushed(r, k, 2.0, 0.3))),
     Fault("base tilted by 40 degrees", "gravity-direction", None, tilted, follows=("odd-recording",), planar=False),
-    Fault("a tool that is not in the model", "payload-missing", None, loaded),
-    Fault("a limit of position too narrow", "position-limit", J,
-          lambda c: file_text(c, r'lower="[^"]*" upper="[^"]*"', 'lower="-0.3" upper="0.3"')),
-    Fault("a limit of effort too low", "effort-limit", J, lambda c: file_text(c, r'effort="[^"]*"', 'effort="1"')),
+    Fault("a tool that is not in the model", "payload", None, loaded, "a load that the model lacks"),
+    Fault("a limit of position too narrow", "beyond-limit", J,
+          lambda c: file_text(c, r'lower="[^"]*" upper="[^"]*"', 'lower="-0.3" upper="0.3"'), "positions from"),
+    Fault("a limit of effort too low", "beyond-limit", J, lambda c: file_text(c, r'effort="[^"]*"', 'effort="1"'),
+          "torques up to"),
     Fault("an inertia that is not positive", "inertia-impossible", J,
           lambda c: link_text(c, lambda x: re.sub(r'ixx="[^"]*"', 'ixx="-0.01"', x), J)),
     Fault("an inertia that is not a number", "inertia-impossible", J,
           lambda c: link_text(c, lambda x: re.sub(r'iyy="[^"]*"', 'iyy="nan"', x), J)),
     Fault("an inertia that violates the triangle inequality", "inertia-impossible", J,
           lambda c: link_text(c, lambda x: re.sub(r'izz="[^"]*"', 'izz="9"', x), J)),
-    Fault("a moving link without mass", "mass-missing", J,
-          lambda c: link_text(c, lambda x: re.sub(r'<mass value="[^"]*"', '<mass value="0"', x), J)),
+    Fault("a moving link without mass", "inertia-impossible", J,
+          lambda c: link_text(c, lambda x: re.sub(r'<mass value="[^"]*"', '<mass value="0"', x), J), "mass"),
     Fault("one torque sample of 1e6 in one recording", "spike", J, lambda c: one(c, lambda r: spiked(r, "tau", 1e6))),
     Fault("one torque sample of 3 times the range", "spike", J,
           lambda c: one(c, lambda r: spiked(r, "tau", 3 * float(np.ptp(r.tau[:, J]))))),
@@ -436,9 +441,12 @@ FAULTS = [
 
 
 def is_named(fault: Fault, recordings: list[Recording], diagnosis: Diagnosis) -> bool:
-    """Whether a finding of the right code names the right joint, or all of them."""
+    """Whether a finding of the right code and words names the right joint, or all of them."""
     joint = None if fault.joint is None else recordings[0].joints[fault.joint]
-    return any(f.code == fault.code and (joint is None or f.joint in (joint, None)) for f in diagnosis.findings)
+    return any(
+        f.code == fault.code and fault.words in f.evidence and (joint is None or f.joint in (joint, None))
+        for f in diagnosis.findings
+    )
 
 
 def beside(fault: Fault, diagnosis: Diagnosis) -> list[Finding]:

@@ -36,6 +36,7 @@ from tauext.data.recording_file import save_recording
 from tauext.errors import FaultyDataError, TauextError
 from tauext.recipes import RECIPES
 from tauext.robot.read import load_tree
+from tauext.train.preparation import NOTHING, Start
 
 RATE_HZ = 50.0
 LEAST_HEALTHY = 0.98
@@ -413,16 +414,12 @@ def ended_somehow(small: Small, stage: str, work: Callable[[], str]) -> Ending:
         )
 
 
-def train(
-    small: Small, data: Path, out: Path, recipe: str, accept: Sequence[str] = (), like: Path | None = None
-) -> str:
+def train(small: Small, data: Path, out: Path, recipe: str, accept: Sequence[str] = (), start: Start = NOTHING) -> str:
     """Train as the command line does; what is wrong with the bundle, or nothing."""
-    from tauext.fit.fleet_prior import load_fleet_prior
     from tauext.train.stage import train_bundle
 
     dataset = load_dataset(data)
-    known = None if like is None else load_fleet_prior(like)
-    train_bundle(dataset, out, ARMS[small.arm_name].case, None, small.config(recipe), accept=accept, like=known)
+    train_bundle(dataset, out, ARMS[small.arm_name].case, None, small.config(recipe), accept=accept, start=start)
     return unhealthy(out, dataset.training())
 
 

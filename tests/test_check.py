@@ -16,6 +16,7 @@ from tauext_lab.sim.config import RigConfig
 from tauext_lab.sim.rig import arm_xml
 
 from tauext.check.arrangement import fit_load, with_load
+from tauext.check.checks import CHECKS, NEEDS, STEPS
 from tauext.check.examine import examine
 from tauext.check.finding import CODES
 from tauext.check.joint_fit import fit_joint, presliding, rows_of
@@ -69,18 +70,18 @@ def test_good_data_of_the_rig_has_no_finding_but_its_length(rig):
     assert {f.code for f in examine(rig.made.recordings, rig.urdf).findings} == {"too-short"}
 
 
-LONGER = {"joint-axis", "joint-order", "position-offset", "stuck", "torque-drift", "torque-steps"}
+LONGER = {"joint-axis", "joint-order", "position-offset", "stuck", "torque-changes"}
 """Codes that take more motion."""
 ELSEWHERE = {"effort-scale", "joint-names", "odd-recording", "robot-file-changed", "spike", "time-unit"}
 """Codes that other tests lead to as well, in this file or in those of their names."""
-SECONDS = LONGER | {"temperature-drift"}
-"""Codes whose tests take a second or more."""
 
 
 def telling(faults: list[Fault]) -> list:
-    """The first fault of each code on every machine, its variants and what takes long where there is time."""
-    codes = [fault.code for fault in faults]
-    slow = [codes.index(fault.code) < k or fault.code in ELSEWHERE | SECONDS for k, fault in enumerate(faults)]
+    """The first fault of each code and words on every machine, its variants and what takes long where there is time."""
+    named = [(fault.code, fault.words) for fault in faults]
+    slow = [
+        named.index((fault.code, fault.words)) < k or fault.code in ELSEWHERE | LONGER for k, fault in enumerate(faults)
+    ]
     return [pytest.param(f, id=f.name, marks=[pytest.mark.slow] * s) for f, s in zip(faults, slow, strict=True)]
 
 
@@ -112,15 +113,20 @@ def test_fault_of_the_rig_is_named(rig: Case, name: str):
 CAUSES = ("position-wraps", "robot-file-other", "rows-dropped")
 OF_LIMITS = ("limit-fine", "limit-wide", "promise-worse")
 OF_SERVOS = {
-    "backlash", "coarse-velocity", "current-signed", "effort-duty", "load-sign-bit", "supply-current", "unsigned-torque"
+    "backlash", "current-signed", "effort-duty", "load-sign-bit", "supply-current", "unsigned-torque"
 }  # fmt: skip
 
 
 def test_every_code_has_a_fault_that_leads_to_it_or_a_test_of_its_own():
-    # an unusable file and a hand that is not mounted here, causes in test_check_causes.py, limits of a training in
+    # an unusable file here, causes in test_check_causes.py, limits of a training in
     # test_few_data.py, what servos report in test_check_servo.py
-    elsewhere = {"model-unusable", "payload-absent", *CAUSES, *OF_LIMITS} | OF_SERVOS
+    elsewhere = {"model-unusable", *CAUSES, *OF_LIMITS} | OF_SERVOS
     assert set(CODES) - {fault.code for fault in FAULTS} == elsewhere
+
+
+def test_the_table_of_checks_has_every_code_but_those_of_limits():
+    assert {code for check in CHECKS for code in check.codes} == set(CODES) - set(OF_LIMITS)
+    assert all(check.step in STEPS and set(check.needs) <= set(NEEDS) for check in CHECKS)
 
 
 @pytest.mark.slow
@@ -171,7 +177,7 @@ def test_the_evidence_of_currents_is_in_amperes(six):
     assert re.search(r"the effort is \S+ A where gravity takes \S+ Nm \(.* A apart\)", at_rest)
     driven = [replace(r, tau=-5000.0 * r.tau, provenance=amperes) for r in six.made.recordings]
     assert re.search(r"is \S+ A rad/s on average; friction resists with \S+ As/rad", evidence(driven, "effort-sign"))
-    assert re.search(r"torques up to \S+ A, limit \S+ Nm;", evidence(driven, "effort-limit"))
+    assert re.search(r"torques up to \S+ A, limit \S+ Nm;", evidence(driven, "beyond-limit"))
     assert re.search(r"the effort varies by \S+ A, gravity .* by \S+ Nm:", evidence(driven, "effort-scale"))
     one, *others = [replace(r, provenance=amperes) for r in six.made.recordings]
     odd = evidence([replace(one, tau=3.0 * one.tau), *others], "odd-recording")
@@ -257,9 +263,9 @@ def test_effort_of_the_wrong_sign_is_found_without_a_model(longer):
     assert not examine(longer.made.recordings).faulty
 
 
-def test_a_tool_taken_off_is_payload_absent(six, tmp_path):
+def test_a_tool_taken_off_is_less_load(six, tmp_path):
     lighter = with_load(six.tree, np.array([-0.7 * six.tree.links[-1].mass, 0, 0, 0]))
-    assert "payload-absent" in {f.code for f in examine(six.anew(lighter), six.urdf).findings}
+    assert any(f.code == "payload" and "less load" in f.evidence for f in examine(six.anew(lighter), six.urdf).findings)
 
 
 def test_load_of_least_squares_is_the_load_that_was_mounted(six):

@@ -62,14 +62,7 @@ def test_another_arms_file_is_named_before_the_torque(arm, tmp_path, seed):
     diagnosis = examine([replace(one, joints=names) for one in recordings], other)
     faults = [finding.code for finding in diagnosis.findings if finding.severity == "fault"]
     # Some arms resemble each other in a joint; what must not come is advice on a torque that is right.
-    assert not {"effort-gravity-compensated", "effort-external", "effort-sign"} & set(faults), diagnosis.findings
-
-
-def test_a_driver_that_subtracts_gravity_is_still_named(arm):
-    robot, tree, recordings = arm
-    made = [replace(one, tau=one.tau - tree.momentum(one.q, 0 * one.q)[1]) for one in recordings]
-    found = codes(made, robot)
-    assert "effort-gravity-compensated" in found and "robot-file-other" not in found
+    assert not {"effort-compensated", "effort-sign"} & set(faults), diagnosis.findings
 
 
 def test_the_table_of_causes_hides_what_they_explain():

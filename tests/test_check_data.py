@@ -13,7 +13,7 @@ from made_recordings import made_motion
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
-from tauext.check.before_training import MOST_MOVING_S, CheckResult, folder, refuse_faults, shares
+from tauext.check.before_training import MOST_MOVING_S, folder, refuse_faults, shares
 from tauext.check.finding import CODES, Finding
 from tauext.cli import main
 from tauext.config import AlarmConfig, TrainConfig
@@ -111,7 +111,7 @@ def test_what_a_person_accepts_stands_in_bundle_and_run_file_and_is_shown(data, 
     spoil(data, "two", tau=spike)
     out = tmp_path / "a.tauext"
     assert train(data, out, "--accept", "spike:joint1") == 2  # of another joint
-    assert train(data, out, "--accept", "quantised", "spike:joint2") == 0
+    assert train(data, out, "--accept", "resolution", "spike:joint2") == 0
     assert "accepted: spike (joint2)" in capsys.readouterr().err
     (entry,) = kept(out)["training"]["accepted"]
     assert (entry["code"], entry["joint"], entry["recordings"], entry["count"]) == ("spike", "joint2", ["two"], 1)
@@ -276,15 +276,15 @@ def test_a_given_constant_that_is_far_off_is_told(data, tmp_path):
 def test_warnings_are_told_once_and_faults_of_many_joints_are_accepted_by_their_code():
     heard = Heard()
     many = [Finding("clock-gaps", "warning", None, f"'{k}': gaps", "look", str(k)) for k in range(50)]
-    refuse_faults({"training": CheckResult(many)}, "data", [], heard)
+    facts = refuse_faults({"training": many}, "data", [], heard)
     assert heard.said == ["warning: clock-gaps: '0': gaps (and 49 more)"]
-    (entry,) = CheckResult(many).facts([])["warnings"]
+    (entry,) = facts["training"]["warnings"]
     assert entry["count"] == 50 and len(entry["recordings"]) < 50
     faults = [Finding("effort-sign", "fault", f"joint{j}", "-1", "negate") for j in range(6)]
     with pytest.raises(FaultyDataError) as caught:
-        refuse_faults({"training": CheckResult(faults)}, "data", [], heard)
+        refuse_faults({"training": faults}, "data", [], heard)
     assert str(caught.value).splitlines()[-1].strip() == "--accept effort-sign"
-    refuse_faults({"training": CheckResult(faults)}, "data", ["effort-sign"], heard)
+    refuse_faults({"training": faults}, "data", ["effort-sign"], heard)
 
 
 def moving(seconds: float, still_s: float) -> Recording:

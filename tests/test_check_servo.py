@@ -9,7 +9,7 @@ from tauext_lab.report.check_picture import draw
 
 from tauext.check.drive import efforts_of, servo_findings
 from tauext.check.examine import as_data, as_text, examine, quick_checks
-from tauext.check.sensors import coarse_findings
+from tauext.check.sensors import coarse_velocities
 from tauext.data.drive_signal import backlash_widths, play_of, position_step, step_of
 
 DEGREE = np.pi / 180
@@ -62,7 +62,7 @@ def test_a_round_with_a_supply_current_says_nothing_of_signs_or_scales(two, tmp_
     diagnosis = examine([recorded(two, supply(two))])
     told = {f.code for f in diagnosis.findings}
     assert "supply-current" in told
-    assert not told & {"effort-sign", "effort-scale", "torque-delay", "effort-external", "stuck"}
+    assert not told & {"effort-sign", "effort-scale", "torque-delay", "effort-compensated", "stuck"}
     facts = diagnosis.facts[LOADED]
     assert facts["torque_is"] == "supply current" and facts["position_step_rad"] == pytest.approx(COUNT_RAD)
     assert facts["torque_step_nm"] == pytest.approx(0.0065)
@@ -130,11 +130,11 @@ def test_a_velocity_of_few_steps_is_coarse_where_positions_tell_it_better(two):
     def with_step(step):
         return replace(recorded(two, two.torque), dq=np.round(two.dq / step) * step)
 
-    found = coarse_findings([with_step(50 * COUNT_RAD)])  # the speed register of a Feetech servo
+    found = coarse_velocities([with_step(50 * COUNT_RAD)])  # the speed register of a Feetech servo
     assert [f.joint for f in found] == ["servo1", "servo2"] and "0.0767 rad/s" in found[0].evidence
-    assert not coarse_findings([with_step(0.229 * np.pi / 30)])  # that of a Dynamixel
+    assert not coarse_velocities([with_step(0.229 * np.pi / 30)])  # that of a Dynamixel
     derived = {"servo": {"torque_from": "torque", "velocity_steps": 10}}
-    assert not coarse_findings([replace(with_step(50 * COUNT_RAD), provenance=derived)])
+    assert not coarse_velocities([replace(with_step(50 * COUNT_RAD), provenance=derived)])
 
 
 def test_steps_are_told_through_single_precision_and_not_invented():

@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 from made_bundles import pushed
 from made_live import ScriptedSource, samples_of
+from tauext_commission import lasting
 from tauext_commission.lasting import LastingSource
 
 from tauext import _core
@@ -15,7 +16,6 @@ from tauext.data.servo import AMPERES, FROM_AMPERES, servo_facts
 from tauext.errors import ConfigError, RobotError
 from tauext.monitor.source import Describes, SourceFacts, SourceSettings
 from tauext.robot.write import write_placeholder
-from tauext.sources import lasting
 from tauext.sources.describing import chosen_joints, joint_names, learnt_period_ns, nominal_period_ns, why_another
 from tauext.sources.franka import FrankaSource
 from tauext.sources.replay import ReplaySource

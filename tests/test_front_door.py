@@ -131,7 +131,7 @@ def test_one_odd_value_among_usual_ones_is_refused_in_a_sentence(tmp_path, monke
             expect_sentence(call, **usual | {name: value})
     with pytest.raises(tauext.TauextError, match="at_most_n is beyond 1.8e308, the largest number"):
         tauext.DeclaredContact(frame="tool", at_most_n=10**400)
-    with pytest.raises(tauext.ConfigError, match="load_bundle: path = None must be a path or StoredPlace or text"):
+    with pytest.raises(tauext.ConfigError, match="load_bundle: path = None must be a path or text"):
         tauext.load_bundle(None)
     with pytest.raises(tauext.ConfigError, match="refit_motion: bundle = {} must be Bundle"):
         tauext.refit_motion({}, {})

@@ -12,7 +12,7 @@ SOURCE = Path(__file__).parent.parent / "src" / "tauext"
 OPEN = {"errors", "config", "recipes", "progress", "plugins", "files", "_core"}
 """What every package may import."""
 ORDER = {
-    "files": {"pyarrow"},
+    "files": set(),
     "robot": {"numpy", "mujoco"},
     "data": {"numpy", "pyarrow"},
     "bundle": {"numpy", "pyarrow"},
@@ -30,7 +30,6 @@ ALSO = {
     "data/importers/ros1_bag": {"rosbags"},
     "data/ros_messages": {"rosbags"},
     "data/importers/hdf5": {"h5py", "scipy"},
-    "fit/torch_backend": {"torch"},
     "sources/ur": {"rtde_receive"},
     "sources/franka": {"pylibfranka"},
 }

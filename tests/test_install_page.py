@@ -48,8 +48,8 @@ def test_the_block_makes_an_environment_a_wheel_and_installs_it(block):
     make, activate, wheel, install, run = block
     environment = re.fullmatch(r"python3 -m venv (\S+)", make)[1]
     assert activate == f". {environment}/bin/activate" and run == "tauext --version"
-    folder = re.fullmatch(r"pip wheel \. --no-deps -w (\S+)", wheel)[1]
-    assert install == f"pip install {folder}/tauext-*.whl"
+    folder = re.fullmatch(r"pip wheel \. \./packages/lab \./packages/commission --no-deps -w (\S+)", wheel)[1]
+    assert install == f"pip install {folder}/tauext*.whl"
     assert f"`{wheel}`" in (ROOT / "CONTRIBUTING.md").read_text()
 
 
@@ -75,9 +75,14 @@ def test_every_extra_for_users_is_in_the_table_and_no_other():
     extras = {
         name: re.match(r"\w+", requirement)[0]
         for name, (requirement, *_) in PROJECT["optional-dependencies"].items()
-        if name not in FOR_DEVELOPERS
+        if name not in FOR_DEVELOPERS | {"all"}
     }
     assert named == extras
+
+
+def test_the_extra_all_names_every_package():
+    projects = [tomllib.loads(path.read_text())["project"]["name"] for path in ROOT.glob("packages/*/pyproject.toml")]
+    assert sorted(PROJECT["optional-dependencies"]["all"]) == sorted(name.replace("_", "-") for name in projects)
 
 
 def test_every_make_target_of_the_page_is_there():

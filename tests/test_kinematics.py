@@ -16,8 +16,8 @@ from tauext.fit.find_kinematics import Kinematics, frame_of, pieces, thinned
 from tauext.fit.prior import Inertia, fit_prior, weighs_on
 from tauext.fit.prior_facts import arm_found
 from tauext.fit.prior_terms import ESTIMATED, PriorFit
+from tauext.fit.torque_constants import with_constants
 from tauext.fit.training_set import Setup
-from tauext.monitor.known_load import observer_with
 from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
 
 X, Y, Z = np.eye(3)
@@ -169,7 +169,7 @@ def test_what_shows_of_a_load_does_not_depend_on_the_unit_of_the_torque():
     setup = replace(setup_of(arm()), tree=arm())
     made = made_motion(arm(), 0.5, pieces=1).recordings
     in_amperes = [replace(one, tau=one.tau / 50.0) for one in made]
-    known = replace(setup, observer=observer_with(setup.observer, [50.0] * 4))
+    known = replace(setup, observer=with_constants(setup.observer, [50.0] * 4))
     shows = weighs_on(setup, made, Inertia(load=ESTIMATED))
     assert shows.tolist() == [False, True, True, False]
     np.testing.assert_array_equal(weighs_on(known, in_amperes, Inertia(load=ESTIMATED)), shows)

@@ -215,4 +215,5 @@ def test_every_kind_of_source_is_documented():
 
     text = (ROOT / "docs" / "running.md").read_text()
     for name, kind in kinds().items():
-        assert f"`{name}:{kind.target}`" in text or f"`{name}`" in text, name
+        target = kind.target.replace("|", r"\|")
+        assert f"`{name}:{target}`" in text or f"`{name}`" in text, name

@@ -214,7 +214,7 @@ def test_the_list_is_drawn_by_its_seed_and_every_case_can_be_named(good):
     assert {case.kind for case in cases} == set(ALL_KINDS)
     assert all(set(case.files) <= {"one", "two"} for case in cases)
     for case in cases:
-        assert not fits(case.change.what, case.change.signals, "smoothed")
+        assert not fits(case.change.what, case.change.signals, "resolution")
     assert {code for codes in FITTING.values() for code in codes} <= set(CODES)
 
 
@@ -230,7 +230,7 @@ def test_a_finding_counts_that_the_clean_data_do_not_have():
     assert verdict(seen("effort-scale"), clean=[seen("effort-scale")]) is None
     assert verdict(seen("effort-scale"), clean=[seen("effort-scale", "a")]) == "refused"
     assert verdict(seen("effort-scale", severity="warning")) == "named"
-    assert verdict(seen("smoothed", severity="warning")) is None
+    assert verdict(seen("resolution", severity="warning")) is None
     assert verdict(seen("odd-recording", severity="warning")) == "named"
 
 
@@ -247,7 +247,7 @@ def test_the_table_counts_every_case_once_and_lists_the_missed():
     row = {"dataset": "rig", "kind": "spikes", "fits": True, "limit_off": 2.0, "found": 3, "events": 100}
     row |= {"found_clean": 71, "findings": [], "error": None}
     rows = [row | {"id": str(k), "verdict": v} for k, v in enumerate(("refused", "named", "missed", "missed"))]
-    text = markdown(rows, [{"name": "ur10", "faults": ["smoothed"], "error": None}], "made")
+    text = markdown(rows, [{"name": "ur10", "faults": ["resolution"], "error": None}], "made")
     assert "| rig | spikes | 4 | 1 | 1 | 0 | 2 | 0 | 0 |" in text
     assert "Missed: 2 of 4, 50.0%." in text and text.count("| 200% | 3 of 100 (clean 71) |") == 2
     assert "False refusals on good data: 1 of 1 datasets." in text

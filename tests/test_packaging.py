@@ -22,7 +22,7 @@ PACKAGES = [ROOT / "packages" / name / "package.xml" for name in ("tauext_vendor
 WORKFLOW = ROOT / ".github" / "workflows" / "wheels.yml"
 RECIPE = ROOT / "packaging" / "conda" / "recipe.yaml"
 ROSDEP = ROOT / "packaging" / "rosdep" / "tauext.yaml"
-OF_CONDA = {"mujoco": "mujoco-python", "matplotlib": "matplotlib-base", "jinja2": "jinja2", "torch": "pytorch"}
+OF_CONDA = {"mujoco": "mujoco-python", "matplotlib": "matplotlib-base", "jinja2": "jinja2"}
 """Names of packages that conda-forge gives other names than pip's indexes do."""
 
 
@@ -75,9 +75,11 @@ def test_the_workflow_and_the_page_state_where_wheels_are_made_and_where_not():
 def test_the_recipe_of_conda_has_the_version_the_requirements_and_the_licences_of_pyproject():
     recipe, project = read(RECIPE), PROJECT["project"]
     assert recipe["context"] == {"name": NAME, "version": VERSION}
-    assert recipe["requirements"]["run"] == ["python", *map(of_conda, project["dependencies"])]
+    folders = re.findall(r"\./(packages/\w+)", recipe["build"]["script"])
+    packages = [tomllib.loads((ROOT / folder / "pyproject.toml").read_text())["project"] for folder in folders]
+    needed = [one for part in (project, *packages) for one in part["dependencies"] if not one.startswith(NAME)]
+    assert len(packages) == 2 and recipe["requirements"]["run"] == ["python", *dict.fromkeys(map(of_conda, needed))]
     assert set(map(of_conda, PROJECT["build-system"]["requires"])) < set(recipe["requirements"]["host"])
-    assert recipe["requirements"]["run_constraints"] == [of_conda(project["optional-dependencies"]["torch"][0])]
     assert recipe["about"]["license"] == project["license"]
     assert recipe["about"]["license_file"] == project["license-files"]
     assert recipe["about"]["summary"] == project["description"]

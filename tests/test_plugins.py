@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,9 +18,11 @@ from made_bundles import watching_bundle
 
 from tauext import plugins
 from tauext.cli import in_plain_words, main
+from tauext.config import TrainConfig
 from tauext.errors import ConfigError
 from tauext.monitor.source import SourceSettings
 from tauext.sources.open import open_source
+from tauext.train.stage import accepted_settings
 
 ROOT = Path(__file__).parent.parent
 EXAMPLE = ROOT / "examples" / "04_plugin"
@@ -42,10 +45,10 @@ def site(tmp_path_factory):
     site = tmp_path_factory.mktemp("site")
     project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]
     install(site, project["name"], project["entry-points"])
-    (site / "my_arm.py").write_text((EXAMPLE / "my_arm.py").read_text())
-    install(
-        site, "broken", {"tauext.sources": {"broken": "no_such:KIND"}, "tauext.commands": {"broken": "no_such:RUN"}}
-    )
+    for file in EXAMPLE.glob("*.py"):
+        shutil.copy(file, site)
+    broken = {"sources": "no_such:KIND", "commands": "no_such:RUN", "recipes": "no_such:ROW"}
+    install(site, "broken", {f"tauext.{group}": {"broken": value} for group, value in broken.items()})
     install(site, "other", {"tauext.sources": {"other": "json:dumps", "ur": "json:dumps"}})
     watching_bundle().save(str(site / "watching.tauext"))
     return site
@@ -116,12 +119,21 @@ def test_the_command_of_the_example_stands_beside_ours(site):
     assert "broken     plug-in broken (broken, no_such:RUN): cannot be loaded: ModuleNotFoundError" in out
 
 
+def test_the_recipe_of_the_example_stands_beside_ours(site):
+    code, out, _ = tauext(site, "train", "--help")
+    words = " ".join(out.replace("│", " ").split())
+    assert code == 0 and "viscous: constant and viscous friction of each joint, fitted" in words
+    assert "broken: plug-in broken (broken, no_such:ROW): cannot be loaded: ModuleNotFoundError" in words
+    code, _, err = tauext(site, "train", "--data", "data", "--out", "arm.tauext", "--recipe", "broken")
+    assert code == 2 and "plug-in broken (broken, no_such:ROW): cannot be loaded" in err
+
+
 def test_a_source_whose_package_is_not_installed_names_it(monkeypatch):
     added = {}
     for file in (ROOT / "packages").glob("*/pyproject.toml"):
         project = tomllib.loads(file.read_text())["project"]
         added |= {name: file.parent.name for group in project["entry-points"].values() for name in group}
-    assert added == plugins.FOLDERS
+    assert added == {name: folders.split()[-1] for name, folders in plugins.FOLDERS.items()}
     monkeypatch.setattr(plugins, "entry_points", lambda group: ())
     with pytest.raises(ConfigError, match="--source ros2: 'ros2' is a plug-in: pip install ./packages/ros2"):
         open_source("ros2", {})
@@ -152,8 +164,36 @@ def test_a_package_that_does_not_fit_is_refused_in_one_line(site, words, message
 def test_a_command_of_a_package_that_is_not_installed_names_the_package(monkeypatch, capsys):
     monkeypatch.setattr("tauext.plugins.entry_points", lambda group: [])
     assert main(["fleet", "run", "fleet.toml"]) == 2
-    told = "'fleet' is a plug-in: pip install ./packages/fleet in the source folder of tauext"
+    told = "'fleet' is a plug-in: pip install ./packages/lab ./packages/fleet in the source folder of tauext"
     assert capsys.readouterr().err == f"tauext: error: {told}\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "package"),
+    [
+        (("train", "--data", "data", "--out", "arm.tauext", "--like", "arm.prior.json"), "fleet"),
+        (("train", "--data", "data", "--out", "arm.tauext", "--network", "own.npz"), "lab"),
+        (("refit", "old.tauext", "--data", "data", "--out", "arm.tauext", "--like", "arm.prior.json"), "fleet"),
+        (("show", "arm.prior.json"), "fleet"),
+    ],
+)
+def test_an_option_or_a_file_of_a_package_that_is_not_installed_names_the_package(
+    tmp_path, monkeypatch, capsys, words, package
+):
+    monkeypatch.setattr("tauext.plugins.entry_points", lambda group: [])
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "arm.prior.json").write_text("{}")
+    (tmp_path / "old.tauext").write_text("")
+    assert main([*words]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and f"./packages/{package} in the source folder of tauext" in said
+
+
+def test_a_backend_whose_package_is_not_installed_is_named_before_the_training(monkeypatch):
+    monkeypatch.setattr("tauext.plugins.entry_points", lambda group: [])
+    accepted_settings(TrainConfig(recipe="prior", backend="torch"), ())  # trains no network
+    with pytest.raises(ConfigError, match="'torch' is a plug-in: pip install ./packages/lab"):
+        accepted_settings(TrainConfig(recipe="paper", backend="torch"), ())
 
 
 def test_an_option_of_a_source_whose_package_is_not_installed_names_the_package(monkeypatch, capsys):

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from contextlib import contextmanager
 from dataclasses import replace
+from importlib import import_module
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import get_args
@@ -14,31 +16,20 @@ import pytest
 from made_arms import planar_arm
 from test_few_data import motion
 
-from tauext import _core
+from tauext import _core, plugins
 from tauext.bundle.estimates import OK
 from tauext.cli.show import prior_words
-from tauext.config import PAPER_CASES, CaseName, RecipeName, TrainConfig
+from tauext.config import PAPER_CASES, TrainConfig
 from tauext.data.free_motion import cut
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
-from tauext.files.toml_file import field_help
-from tauext.fit.prior_terms import PriorFit
-from tauext.fit.ridge import Regressors, fit_ridge
-from tauext.fit.training_set import Setup
-from tauext.recipes import RECIPES, Recipe, baselines
+from tauext.files.toml_file import field_help, hints_of
+from tauext.recipes import RECIPES, baselines
 from tauext.train.preparation import Given, training_settings, why_impossible
 from tauext.train.stage import train_on_recordings
 
 EXACT, NONE = PAPER_CASES["exact"], PAPER_CASES["none"]
-
-
-def fit_viscous(setup: Setup, recordings, *, report, **settings) -> PriorFit:
-    """Constant and viscous friction of every joint: the baseline that the test below adds."""
-    kinds = (_core.TermKind.constant, _core.TermKind.viscous)
-    own = [[_core.Term(kind, j) for kind in kinds] for j in range(setup.tree.size)]
-    fit = fit_ridge(setup, recordings, Regressors(own))
-    report(f"error on left-out motion {fit.error_nm.max():.2f} Nm")
-    return fit
+EXAMPLE = Path(__file__).parent.parent / "examples" / "04_plugin"
 
 
 class Heard:
@@ -62,9 +53,16 @@ def unlimited(monkeypatch):
     monkeypatch.setattr("tauext.train.preparation.torque_limits", lambda robot, joints: np.full(len(joints), np.inf))
 
 
-def test_a_regression_baseline_is_one_row_and_one_fit_function(tmp_path, monkeypatch, unlimited, capsys):
-    row = Recipe("viscous", "constant and viscous friction", fit=f"{__name__}:fit_viscous", baseline="viscous")
-    monkeypatch.setitem(RECIPES, row.name, row)
+@pytest.fixture
+def viscous(monkeypatch):
+    """The recipe of the example package: its row is found by an entry point."""
+    monkeypatch.syspath_prepend(str(EXAMPLE))
+    import_module("my_recipe")
+    found = {plugins.RECIPES: [EntryPoint("viscous", "my_recipe:RECIPE", plugins.RECIPES)]}
+    monkeypatch.setattr(plugins, "entry_points", lambda group: found.get(group, []))
+
+
+def test_a_regression_baseline_is_one_row_and_one_fit_function(tmp_path, viscous, unlimited, capsys):
     out, heard = tmp_path / "viscous.tauext", Heard()
     config = TrainConfig(recipe="viscous")
     train_on_recordings(
@@ -90,16 +88,16 @@ def test_a_regression_baseline_is_one_row_and_one_fit_function(tmp_path, monkeyp
     assert capsys.readouterr() == ("", "")  # a stage prints nothing
 
 
-def test_what_an_added_recipe_does_not_use_follows_from_its_row(monkeypatch):
-    monkeypatch.setitem(RECIPES, "viscous", Recipe("viscous", "friction", fit=f"{__name__}:fit_viscous"))
+def test_what_an_added_recipe_does_not_use_follows_from_its_row(viscous):
     kept = training_settings(EXACT, TrainConfig(recipe="viscous"))["config"]
     assert not {"threads", "targets", "prior", "gate_margin", "drift", "filters"} & kept.keys()
     assert kept == training_settings(EXACT, TrainConfig(recipe="friction"))["config"] | {"recipe": "viscous"}
 
 
-def test_the_help_offers_what_the_tables_hold():
-    assert get_args(RecipeName) == tuple(RECIPES) and get_args(CaseName) == tuple(PAPER_CASES)
-    assert all(name == recipe.name for name, recipe in RECIPES.items())
+def test_the_help_offers_the_rows_of_tauext_and_of_packages(viscous):
+    words = field_help(TrainConfig)["recipe"]
+    assert get_args(hints_of(TrainConfig)["recipe"]) == (*RECIPES, "viscous")
+    assert "viscous: constant and viscous friction of each joint, fitted." in words
 
 
 def test_what_a_row_names_exists():

@@ -9,7 +9,7 @@ import pytest
 
 from tauext import _core
 from tauext.bundle.match import expect_fit
-from tauext.check.examine import of_servos
+from tauext.check.checks import of_servos
 from tauext.check.finding import Finding
 from tauext.check.sensors import normal_ranges, spikes_of
 from tauext.data.assemble import assemble

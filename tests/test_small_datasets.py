@@ -13,14 +13,12 @@ from small_datasets import ARMS, COUNT, SIGNALS, Ending, of_number, summary
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
-from tauext.check.clock import clock_findings
+from tauext.check.clock import repeat_findings
 from tauext.data.dataset import load_dataset
 from tauext.data.recording import Recording
 from tauext.fit.bundle_writing import torque_at_rest
-from tauext.fit.fleet_prior import Evidence, learn_hierarchy
-from tauext.fit.links import MASS, ROTOR, bound_links, is_possible, solve_possible
+from tauext.fit.links import MASS, bound_links, is_possible, solve_possible
 from tauext.fit.regression import NormalEquations, Regression, inverse, solve_within
-from tauext.fit.ridge import MapRegression, WeightPrior
 from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial_parameters
 from tauext.train.stage import train_bundle
 from tauext.train.wrench import squared_distances
@@ -144,19 +142,6 @@ def test_an_impossible_mass_keeps_the_files():
     assert possible_solution(regression)[MASS] == 0 and not regression.used[MASS]
 
 
-def test_a_fleet_whose_mean_no_link_can_have_gives_an_arm_that_can_be():
-    """Columns that no arm of the fleet excited keep its mean, which may be beyond the bounds by rounding."""
-    tree, plain = planar_arm(), corrections_problem(ROTOR, 0.1)
-    width = 2 * len(PARAMETERS)
-    mean, covariance = np.zeros(width), np.eye(width)
-    mean[ROTOR], covariance[ROTOR, :], covariance[:, ROTOR] = -0.85, 0.0, 0.0
-    prior = WeightPrior(mean, covariance, np.ones(2), np.ones(2))
-    regression = MapRegression(plain.folds, prior, 0.01)
-    bound_links(regression, tree)
-    solution = regression.solve(regression.whole)
-    assert tree.links[0].rotor_inertia + solution[ROTOR] == 0 and not regression.used[ROTOR]
-
-
 @pytest.mark.parametrize(
     ("mass", "moment", "possible"),
     [
@@ -174,21 +159,6 @@ def test_a_mass_goes_with_its_first_moment(mass, moment, possible):
     assert is_possible(p) == possible
     if possible:  # what is possible, the core takes
         _core.Tree([with_inertial_parameters(planar_arm().links[0], p)], [0, 0, -9.81])
-
-
-@pytest.mark.parametrize("noise", [0.0, 1e-13])
-def test_rounding_does_not_decide_what_a_fleet_learns(noise):
-    """A fleet's covariance has a positive diagonal where any arm excites a column, whatever the last bits say."""
-    rng, evidence = np.random.default_rng(1), []
-    for _ in range(4):
-        X = rng.normal(size=(200, 4))
-        X = np.column_stack([X, X[:, 0] * (1 + noise * rng.normal(size=200)), 1e-6 * X[:, 1]])  # two undetermined pairs
-        evidence.append(Evidence(X.T @ X, X.T @ (X[:, 0] + rng.normal(size=200)), 200.0))
-    found = learn_hierarchy(evidence, [np.arange(3), np.arange(3, 6)])
-    assert (np.diag(found.covariance) > 0).all() and np.linalg.eigvalsh(found.covariance)[0] > 0
-    np.testing.assert_allclose(
-        found.mean[0] + found.mean[4], 1.0, atol=0.3
-    )  # 800 rows of unit noise, drawn to the fleet
 
 
 def test_held_parameters_are_listed_by_the_training(tmp_path):
@@ -228,5 +198,5 @@ def test_the_torque_at_rest_is_what_it_moved_by_while_the_encoder_stood():
 
 def test_rows_that_are_all_the_same_are_a_finding():
     still = resting(np.ones((50, 2)), np.zeros((50, 2)))
-    (found,) = [one for one in clock_findings([still]) if one.code == "repeated-rows"]
+    (found,) = repeat_findings([still])
     assert "98.0% of the rows equal the row before" in found.evidence and "ms apart" not in found.evidence

@@ -55,7 +55,7 @@ def trained(recording, out):
     robot.write_text(rig_arm().xml)
     settings = TrainConfig(recipe="prior", threads=1, prior=PriorConfig(most_ripples=0))
     given = Given(robot, PAPER_CASES["exact"], [recording])
-    suspects = train_on_recordings(given, accepted_settings(settings, (), None), out)
+    suspects = train_on_recordings(given, accepted_settings(settings, ()), out)
     return _core.Bundle.from_bytes(Path(out).read_bytes()), suspects
 
 

@@ -3,9 +3,9 @@
     python3.11 wheels/try_wheels.py [--pythons 3.12 ...]
 
 With a compiler: follows docs/install.md in the unpacked sdist, as printed, with the newest Python that is there
-(pythons.py). With every one, and no compiler: installs the wheel of dist/, runs `tauext --help`, the experiment at
-smoke scale and `tauext commission` of a simulated arm until it learns, then adds those of packages/. Times are
-printed only.
+(pythons.py). With every one, and no compiler: installs the wheel of the core alone, imports, trains and runs with it;
+then adds the wheels of packages/, and runs the experiment at smoke scale and `tauext commission` of a simulated arm
+until it learns. Times are printed only.
 """
 
 from __future__ import annotations
@@ -30,6 +30,22 @@ WORK = ROOT / "build" / "dist" / "try"
 PAGE = "docs/install.md"  # README.md has the same commands: tests/test_install_page.py
 # No compiler, no CMake: programs of the environment and the few that a shell script needs.
 PROGRAMS = ["env", "sh", "uname"]
+SHORT = ("--max-steps", "20")
+CORE_RECIPES = {"observer": (), "friction": (), "prior": (), "tauext": SHORT, "paper": SHORT}
+"""What the core alone trains, with the options that make it short."""
+MAKE_CSV = """
+from pathlib import Path
+import numpy as np
+from made_arms import PLANAR_MJCF
+from made_planar import moving
+Path("arm.xml").write_text(PLANAR_MJCF)
+for seed, name in enumerate(("first.csv", "second.csv")):
+    made = moving(seed, 60.0, (1.0, 1.0))
+    columns = ["t", *(f"{signal}_{joint}" for signal in ("q", "dq", "tau") for joint in made.joints)]
+    rows = np.column_stack([made.t_ns * 1e-9, made.q, made.dq, made.tau])
+    np.savetxt(name, rows, delimiter=",", header=",".join(columns), comments="")
+"""
+"""Two CSV files of a planar arm in free motion, by the generators of tests/."""
 LONGEST_START_S = 120.0
 """For `tauext commission` to begin to learn, and to end."""
 
@@ -69,16 +85,34 @@ def try_wheel(version: str, python: str, wheel: Path) -> None:
     pip += ["-c", ROOT / "constraints.txt"]
     tauext = folder / "venv/bin/tauext"
     timed(version, "install", [*pip, wheel], folder, settings)
-    timed(version, "tauext --help", [tauext, "--help"], folder, settings)
+    core_alone(version, tauext, folder, settings)
+    install_packages(version, folder, settings)
     timed(version, "reproduce", [tauext, "reproduce", "--scale", "smoke", "--out", "smoke"], folder, settings)
     if not list((folder / "smoke").rglob("report.html")):
         sys.exit(f"Python {version}: no report of the experiment in {folder / 'smoke'}")
     commission(version, tauext, folder, settings)
-    try_packages(version, folder, settings)
 
 
-def try_packages(version: str, folder: Path, settings: dict[str, str]) -> None:
-    """Add the wheels of packages/ to the environment, and load each source and command that they bring."""
+def core_alone(version: str, tauext: Path, folder: Path, settings: dict[str, str]) -> None:
+    """Without packages: import, train by each recipe of CORE_RECIPES, run; commands of packages name their package."""
+    generators = settings | {"PYTHONPATH": str(ROOT / "tests")}
+    timed(version, "recordings", [tauext.with_name("python"), "-c", MAKE_CSV], folder, generators)
+    new = ["--new", "arm.toml", "--source", "first.csv", "--robot", "arm.xml"]
+    timed(version, "import --new", [tauext, "import", *new], folder, settings)
+    sources = ["--source", "first.csv", "second.csv", "--arm", "arm.toml", "--out", "data"]
+    timed(version, "import", [tauext, "import", *sources], folder, settings)
+    for recipe, options in CORE_RECIPES.items():
+        words = ["--data", "data", "--recipe", recipe, *options, "--out", f"{recipe}.tauext"]
+        timed(version, f"train {recipe}", [tauext, "train", *words], folder, settings)
+        timed(version, "run", [tauext, "run", f"{recipe}.tauext", "data/first-test.parquet"], folder, settings)
+    for command, package in (("report", "lab"), ("commission", "commission"), ("fleet", "fleet"), ("guard", "lerobot")):
+        refused = subprocess.run([tauext, command, "x"], cwd=folder, env=settings, capture_output=True, text=True)
+        if refused.returncode != 2 or refused.stdout or not re.fullmatch(rf".*/{package}\b.*\n", refused.stderr):
+            sys.exit(f"{refused.stdout}{refused.stderr}Python {version}: `tauext {command}` must name its package")
+
+
+def install_packages(version: str, folder: Path, settings: dict[str, str]) -> None:
+    """Add the wheels of packages/ to the environment, and load each entry point that they bring."""
     packages = sorted((ROOT / "dist").glob("*tauext*-py3-none-any.whl"))
     projects = sorted(ROOT.glob("packages/*/pyproject.toml"))
     if len(packages) != len(projects):
@@ -86,13 +120,15 @@ def try_packages(version: str, folder: Path, settings: dict[str, str]) -> None:
     pip = [folder / "venv/bin/pip", "--disable-pip-version-check", "-q", "install", "--prefer-binary"]
     timed(version, "packages", [*pip, "-c", ROOT / "constraints.txt", *packages], folder, settings)
     groups = [tomllib.loads(one.read_text())["project"].get("entry-points", {}) for one in projects]
-    names = sorted({name for group in groups for points in group.values() for name in points})
+    points = sorted({(group, name) for by_group in groups for group, names in by_group.items() for name in names})
     load = (
-        "from importlib.metadata import entry_points; import sys; "
-        "found = {e.name: e.load() for g in ('tauext.sources', 'tauext.commands') for e in entry_points(group=g)}; "
-        f"sys.exit(str(sorted(found)) if not {set(names)!r} <= set(found) else 0)"
+        "from importlib.metadata import entry_points\n"
+        f"for group, name in {points!r}:\n"
+        "    (point,) = entry_points(group=group, name=name)\n"
+        "    point.load()\n"
     )
-    timed(version, f"entry points {', '.join(names)}", [folder / "venv/bin/python", "-c", load], folder, settings)
+    names = ", ".join(name for _, name in points)
+    timed(version, f"entry points {names}", [folder / "venv/bin/python", "-c", load], folder, settings)
 
 
 def install_block(page: str) -> str:

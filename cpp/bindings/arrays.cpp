@@ -235,6 +235,13 @@ void expect_temperatures(std::span<const double> celsius, std::size_t joints) {
                   "; it must be in degrees Celsius, or NaN where it is unknown");
 }
 
+std::vector<std::uint8_t> bits(const std::vector<std::uint32_t>& words, std::size_t joints) {
+  std::vector<std::uint8_t> out;
+  for (std::uint32_t word : words)
+    for (std::size_t j = 0; j < joints; ++j) out.push_back(word >> j & 1);
+  return out;
+}
+
 RecordingView view(const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
                    const Array<double, 2>& tau, int joints) {
   const std::size_t rows = t_ns.named("t_ns").shape(0), columns = q.named("q").shape(1);

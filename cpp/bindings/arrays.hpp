@@ -82,6 +82,9 @@ nb::ndarray<nb::numpy, T> to_numpy(std::vector<T>&& values, std::initializer_lis
   return nb::ndarray<nb::numpy, T>(owned->data(), shape, owner);
 }
 
+// The bits of the joints, (words, joints).
+std::vector<std::uint8_t> bits(const std::vector<std::uint32_t>& words, std::size_t joints);
+
 // Signals of a recording; joints: of the monitor or bundle, 0: any. Throws Error.
 RecordingView view(const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
                    const Array<double, 2>& tau, int joints = 0);
@@ -114,14 +117,21 @@ struct NamedContact : DeclaredContact {
 // With the numbers. Throws Error if there is no such frame or joint.
 DeclaredContact contact_of(const WrenchModel& model, const NamedContact& named);
 
+void bind_bundle(nb::module_& m);
 void bind_contact(nb::module_& m);
 void bind_coverage(nb::module_& m);
+void bind_estimate(nb::module_& m);
+void bind_estimates(nb::module_& m);
+void bind_flights(nb::module_& m);
 void bind_load(nb::module_& m);
 void bind_load_found(nb::module_& m);
+void bind_lstm(nb::module_& m);
 void bind_monitor(nb::module_& m);
-void bind_refit(nb::module_& m);
+void bind_observer(nb::module_& m);
 void bind_places(nb::module_& m);
+void bind_refit(nb::module_& m);
 void bind_servo(nb::module_& m);
+void bind_tree(nb::module_& m);
 void bind_wrench(nb::module_& m);
 // Number of the frame. Throws Error if the bundle has no wrench, or no such frame.
 int frame_of(const WrenchModel& model, const std::string& name);

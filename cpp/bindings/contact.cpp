@@ -26,6 +26,15 @@ std::string repr(const NamedContact& c) {
   return out + ">";
 }
 
+void bind_tool_force(nb::module_& m) {
+  nb::class_<FrameToolForce>(m, "ToolForce", "The force at the tool as a sensor would measure it; see Monitor.tool_force().")
+      .def_ro("wrench", &FrameToolForce::at, "Force and moment with covariance; known is false without a tool's frame or torques.")
+      .def_ro("declared", &FrameToolForce::declared, "Whether a declared contact at a frame is in effect.")
+      .def_ro("motion_n", &FrameToolForce::motion_n, "Standard error of the force along itself by errors of free motion, [N].")
+      .def_ro("rest_n", &FrameToolForce::rest_n, "The same by friction that resting joints hide, and by lag, [N].")
+      .def_ro("constants_n", &FrameToolForce::constants_n, "The same by torque constants and gear friction under the load, [N].");
+}
+
 }  // namespace
 
 DeclaredContact contact_of(const WrenchModel& model, const NamedContact& named) {
@@ -103,12 +112,7 @@ void bind_contact(nb::module_& m) {
           "__eq__", [](const NamedContact& a, nb::handle b) { return nb::isinstance<NamedContact>(b) && a == nb::cast<const NamedContact&>(b); },
           nb::arg("other").none(), nb::sig("def __eq__(self, other: object, /) -> bool"))
       .def("__repr__", &repr);
-  nb::class_<FrameToolForce>(m, "ToolForce", "The force at the tool as a sensor would measure it; see Monitor.tool_force().")
-      .def_ro("wrench", &FrameToolForce::at, "Force and moment with covariance; known is false without a tool's frame or torques.")
-      .def_ro("declared", &FrameToolForce::declared, "Whether a declared contact at a frame is in effect.")
-      .def_ro("motion_n", &FrameToolForce::motion_n, "Standard error of the force along itself by errors of free motion, [N].")
-      .def_ro("rest_n", &FrameToolForce::rest_n, "The same by friction that resting joints hide, and by lag, [N].")
-      .def_ro("constants_n", &FrameToolForce::constants_n, "The same by torque constants and gear friction under the load, [N].");
+  bind_tool_force(m);
 }
 
 }  // namespace tauext::bindings

@@ -5,7 +5,8 @@
 
 #include "arrays.hpp"
 #include "chain/load_regressor.hpp"
-#include "load/load_columns.hpp"
+#include "load/recorded_load.hpp"
+#include "prior/prior.hpp"
 #include "tauext/bundle.hpp"
 
 namespace tauext::bindings {
@@ -46,27 +47,16 @@ void bind_load(nb::module_& m) {
       "Contribution of each unit parameter of a load (m, h, I about the frame's origin) to p and beta: (samples, n, 10).");
   m.def(
       "load_rows",
-      [](const Bundle& bundle, const LoadFrame& frame, const std::vector<double>& phi,
-         const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
-         const Array<std::int64_t, 1>& samples) {
-        const RecordingView recording = view(t_ns, q, dq, q);
-        LoadRows rows;
-        {
-          nb::gil_scoped_release released;
-          rows = load_rows(bundle, frame, phi, recording, span_of(samples));
-        }
-        const std::size_t N = samples.shape(0), n = q.shape(1);
-        ArrayDict out;
-        out["load"] = to_numpy(std::move(rows.load), {N, n, static_cast<std::size_t>(LoadColumns::kParameters)});
-        out["frame_forces"] = to_numpy(std::move(rows.frame_forces), {N, n, 3});
-        out["base_forces"] = to_numpy(std::move(rows.base_forces), {N, n, 3});
-        out["offset"] = to_numpy(std::move(rows.offset), {N, n});
-        out["coulomb"] = to_numpy(std::move(rows.coulomb), {N, n});
-        return out;
+      [](const Bundle& bundle, const LoadFrame& frame, const LoadParameters& phi, const Array<std::int64_t, 1>& t_ns,
+         const Array<double, 2>& q, const Array<double, 2>& dq, const Array<std::int64_t, 1>& samples) {
+        std::vector<double> out;
+        for (const LoadSums::Row& row : load_rows(bundle, frame, phi, view(t_ns, q, dq, q), span_of(samples)))
+          out.insert(out.end(), row.begin(), row.end());
+        return to_numpy(std::move(out), {samples.shape(0), q.shape(1), std::size_t{LoadSums::kColumns}});
       },
-      nb::arg("bundle"), nb::arg("frame"), nb::arg("phi"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"),
-      nb::arg("samples"),
-           "Contribution of a unit load, or of a unit force on it, to the bundle's tau_ext; see load_columns.hpp.");
+      nb::arg("bundle"), nb::arg("frame"), nb::arg("phi"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("samples"),
+      "Rows by which a load is weighed, (samples, n, 20): contributions to tau_ext of a unit of m, h, I (10), offset, Coulomb\n"
+      "friction, a force along the base's axes (3) and along the frame's (3), what gears add, and 0.");
   m.def("load_friction_shares", [](const Bundle& bundle) { return load_friction_shares(bundle.prior, bundle.joints()); },
         nb::arg("bundle"), "Share of a load's torque that it adds to each joint's friction, from the prior.");
 }

@@ -1,55 +1,34 @@
-// Sums of weighing, and their result.
+// Loads weighed from recordings, and torque constants by a known one.
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/map.h>
+#include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <map>
 
 #include "arrays.hpp"
-#include "load/weighing.hpp"
+#include "load/known_weight.hpp"
 #include "tauext/bundle.hpp"
 
 namespace tauext::bindings {
 namespace {
 
-constexpr std::size_t kSize = LoadSums::kColumns;
+// Of each recording t_ns, q, dq; of its rows the samples, tau_ext, sigma and worth.
+using Motions = std::vector<std::tuple<Array<std::int64_t, 1>, Array<double, 2>, Array<double, 2>, Array<std::int64_t, 1>,
+                                       Array<double, 2>, Array<double, 2>, Array<double, 2>>>;
 
-void add(LoadSums& sums, const Array<double, 3>& rows, const Array<double, 2>& sigma, const Array<double, 2>& worth) {
-  const std::size_t N = rows.shape(0), n = static_cast<std::size_t>(sums.joints());
-  if (rows.shape(1) != n || rows.shape(2) != kSize)
-    throw Error("rows of a load must have the shape (rows, " + std::to_string(n) + ", " + std::to_string(kSize) + ")");
-  for (const auto* one : {&sigma, &worth})
-    if (one->shape(0) != N || one->shape(1) != n)
-      throw Error("sigma and worth must have the shape (rows, " + std::to_string(n) + ")");
-  std::vector<LoadSums::Row> row(n);
-  for (std::size_t k = 0; k < N; ++k) {
-    for (std::size_t j = 0; j < n; ++j)
-      std::copy_n(rows.data() + (k * n + j) * kSize, kSize, row[j].begin());
-    sums.add(row, {sigma.data() + k * n, n}, {worth.data() + k * n, n});
+std::vector<WeighedMotion> motions_of(const Motions& motions, int joints) {
+  std::vector<WeighedMotion> out;
+  for (const auto& [t_ns, q, dq, samples, tau_ext, sigma, worth] : motions) {
+    for (const auto* one : {&tau_ext, &sigma, &worth})
+      if (one->shape(0) != samples.shape(0) || one->shape(1) != static_cast<std::size_t>(joints))
+        throw Error("tau_ext, sigma and worth of a motion must have the shape (rows, " + std::to_string(joints) + ")");
+    const auto all = [](const Array<double, 2>& of) { return std::span(of.data(), of.size()); };
+    out.push_back({view(t_ns, q, dq, q, joints), span_of(samples), all(tau_ext), all(sigma), all(worth)});
   }
-  sums.end_block();
-}
-
-// (n, columns, columns), both triangles; of the blocks with the open one.
-nb::ndarray<nb::numpy, double> squares(const LoadSums& sums, bool blocks) {
-  std::vector<double> out;
-  for (int joint = 0; joint < sums.joints(); ++joint) {
-    const LoadSums::Joint& one = sums.joint(joint);
-    for (std::size_t a = 0; a < kSize; ++a)
-      for (std::size_t b = 0; b < kSize; ++b) {
-        const std::size_t at = std::min(a, b) * kSize + std::max(a, b);
-        out.push_back(blocks ? one.blocks[at] + one.open[a] * one.open[b] : one.whole[at]);
-      }
-  }
-  return to_numpy(std::move(out), {static_cast<std::size_t>(sums.joints()), kSize, kSize});
-}
-
-nb::ndarray<nb::numpy, double> worth(const LoadSums& sums) {
-  std::vector<double> out;
-  for (int joint = 0; joint < sums.joints(); ++joint) out.push_back(sums.joint(joint).worth);
-  const std::size_t n = out.size();
-  return to_numpy(std::move(out), {n});
+  return out;
 }
 
 template <std::size_t N>
@@ -62,34 +41,6 @@ nb::ndarray<nb::numpy, double> numbers(const std::array<double, N>& values) {
   return to_numpy(std::vector(values.begin(), values.end()), {N});
 }
 
-void bind_sums(nb::module_& m) {
-  auto sums = nb::class_<LoadSums>(m, "LoadSums",
-       "Sums over rows from which a load is estimated; the attributes name the columns.");
-  sums.def(nb::init<int>(), nb::arg("joints"))
-      .def("add", &add, nb::arg("rows"), nb::arg("sigma"), nb::arg("worth"),
-           "Adds consecutive rows, (rows, n, columns); sigma and worth (rows, n).")
-      .def_prop_ro("rows", &LoadSums::rows, "Number of rows added.")
-      .def_prop_ro("whole", [](const LoadSums& s) { return squares(s, false); },
-           "Sum of worth z z^T / sigma^2, (n, columns, columns).", nb::rv_policy::move)
-      .def_prop_ro("blocks", [](const LoadSums& s) { return squares(s, true); },
-           "The same of the sums over blocks, (n, columns, columns).", nb::rv_policy::move)
-      .def_prop_ro("worth", &worth, "Sum of the rows' worth, (n,).", nb::rv_policy::move);
-  const std::pair<const char*, std::size_t> numbers[] = {
-      {"LOAD", LoadSums::kLoad}, {"OFFSET", LoadSums::kOffset}, {"COULOMB", LoadSums::kCoulomb},
-      {"BASE", LoadSums::kBase}, {"FRAME", LoadSums::kFrame},   {"GEAR", LoadSums::kGear},
-      {"TAU_EXT", LoadSums::kTauExt}, {"COLUMNS", kSize}, {"BLOCK_ROWS", static_cast<std::size_t>(LoadSums::kBlockRows)}};
-  for (const auto& [name, value] : numbers) sums.attr(name) = static_cast<int>(value);
-  sums.attr("LEAST_ROWS") = kLeastLoadRows;
-  sums.attr("ROUNDS") = kLoadRounds;
-  sums.attr("LEAST_NOISE_SCALE") = kLeastNoiseScale;
-  sums.attr("LEAST_CORRELATION") = kLeastCorrelation;
-  sums.attr("LEAST_MASS_KG") = kLeastMass_kg;
-  sums.attr("MASS_SHOWS") = kMassShows;
-  sums.attr("SIGMA_OF_LIMIT") = kSigmaOfLimit;
-  sums.attr("STAND_S") = Weighing::kStand_s;
-  sums.attr("USUAL_REACH_M") = kUsualReach_m;
-}
-
 void bind_fit(nb::module_& m) {
   nb::class_<LoadFit>(m, "LoadFit", "Least-squares fit of one hypothesis: a load, a force, or no cause.")
       .def_prop_ro("values", [](const LoadFit& f) { return std::vector(f.values.begin(), f.values.begin() + f.size); },
@@ -100,10 +51,14 @@ void bind_fit(nb::module_& m) {
                    "Number of rows that carry as much information as one independent row.")
       .def_ro("misfit", &LoadFit::misfit, "Squared standard errors per row that remain.")
       .def_ro("cost", &LoadFit::cost, "Sum of the independent squared errors that remain, and of the prior's penalty.");
-  nb::class_<LoadFound>(m, "LoadFound",
+  auto found = nb::class_<LoadFound>(m, "LoadFound",
                         "Result of weighing. All attributes but `load` describe what the arm carries beside the load that is set;\n"
-                        "lengths and axes are those of the load frame.")
-      .def_prop_ro("verdict", [](const LoadFound& f) { return std::string(name(f.verdict)); },
+                        "lengths and axes are those of the load frame.");
+  found.attr("LEAST_ROWS") = kLeastLoadRows;
+  found.attr("MASS_SHOWS") = kMassShows;
+  found.attr("SIGMA_OF_LIMIT") = kSigmaOfLimit;
+  found.attr("USUAL_REACH_M") = kUsualReach_m;
+  found.def_prop_ro("verdict", [](const LoadFound& f) { return std::string(name(f.verdict)); },
                    "`too little` (motion), `nothing`, `load`, `contact`, `lifts` or `unclear`.")
       .def_ro("load", &LoadFound::load, "Both loads together, for set_load().")
       .def_ro("mass_kg", &LoadFound::mass_kg, "Mass, [kg]; negative if the arm carries less than the load that is set.")
@@ -144,42 +99,77 @@ void bind_fit(nb::module_& m) {
                    "Fits by hypothesis: load, base (force along the base's axes), frame (along the frame's axes), nothing.");
 }
 
+void bind_known_weight(nb::module_& m) {
+  nb::class_<KnownWeight>(m, "KnownWeight", "Factors on a bundle's torques, found by a load of known mass.")
+      .def_prop_ro("factors", [](const KnownWeight& k) { return to_numpy(std::vector(k.factors), {k.factors.size()}); },
+                   "Of each joint, (n,).", nb::rv_policy::move)
+      .def_prop_ro("errors", [](const KnownWeight& k) { return to_numpy(std::vector(k.errors), {k.errors.size()}); },
+                   "Standard errors of the factors, (n,).", nb::rv_policy::move)
+      .def_ro("shows", &KnownWeight::shows, "Whether a factor was found at the joint itself; the others have the common one.")
+      .def_ro("common", &KnownWeight::common, "Factor of all joints together.")
+      .def_ro("common_error", &KnownWeight::common_error, "Standard error of the common factor.")
+      .def_prop_ro("com_m", [](const KnownWeight& k) { return numbers(k.com_m); }, "Centre of mass, (3,), [m].",
+                   nb::rv_policy::move);
+  m.def(
+      "weigh_known",
+      [](const Bundle& bundle, const LoadFrame& frame, const Motions& motions, double mass_kg, const LoadParameters& first,
+         const std::vector<bool>& skipped, const std::optional<std::array<double, 3>>& com_m, double reach_m) {
+        if (skipped.size() != bundle.links.size()) throw Error("skipped must have one value for each joint");
+        const std::vector<WeighedMotion> views = motions_of(motions, bundle.joints());
+        const nb::gil_scoped_release released;
+        return weigh_known(bundle, frame, views, {mass_kg, com_m, reach_m}, first, skipped);
+      },
+      nb::arg("bundle"), nb::arg("frame"), nb::arg("motions"), nb::arg("mass_kg"), nb::arg("first"), nb::arg("skipped"),
+      nb::arg("com_m") = nb::none(), nb::arg("reach_m") = kUsualReach_m,
+      "Torque constants by a load of known mass; see known_weight.hpp. first (10,): the load as weighed. skipped: joints\n"
+      "whose rows have no worth. Raises CoreError if the motion does not determine the common factor to 3 %.");
+  m.def(
+      "scaled_bundle",
+      [](Bundle bundle, double factor) {
+        scale_torques(bundle, factor);
+        answer_reference(bundle);
+        return bundle;
+      },
+      nb::arg("bundle"), nb::arg("factor"),
+      "The bundle with all torques that it reads, estimates or compares with times the factor; masses of its model, too.");
+  m.def(
+      "corrected_bundle",
+      [](Bundle bundle, const KnownWeight& known) {
+        correct_torques(bundle, known);
+        answer_reference(bundle);
+        return bundle;
+      },
+      nb::arg("bundle"), nb::arg("known"),
+      "The bundle scaled by the common factor, which is then known to the error of the weighing.");
+}
+
 }  // namespace
 
 void bind_load_found(nb::module_& m) {
-  bind_sums(m);
   bind_fit(m);
   m.def(
+      "worth_of_samples",
+      [](const Array<std::int64_t, 1>& t_ns, const Array<std::uint8_t, 2>& near_stiction) {
+        if (near_stiction.shape(0) != t_ns.shape(0)) throw Error("near_stiction must have the shape (samples, n)");
+        return to_numpy(worth_of_samples(span_of(t_ns), {near_stiction.data(), near_stiction.size()}),
+                        {t_ns.shape(0), near_stiction.shape(1)});
+      },
+      nb::arg("t_ns"), nb::arg("near_stiction"),
+      "Weight of each sample in a weighing, (samples, n): 1 while a joint slides, less the longer it has stood.");
+  m.def(
       "weigh_load",
-      [](const Bundle& bundle, const LoadSums& sums, double reach_m, const LoadParameters& phi, const Load& set, int rounds) {
-        if (sums.joints() != bundle.joints()) throw Error("the sums are of an arm with another number of joints");
+      [](const Bundle& bundle, const LoadFrame& frame, const Motions& motions, double reach_m, const LoadParameters& phi,
+         const Load& set) {
         if (!(reach_m > 0)) throw Error("the reach of a load = " + to_text(reach_m) + " m must be above 0");
-        WeighSettings settings = Weighing::settings_of(bundle);
-        settings.reach_m = reach_m;
-        return weigh(sums, settings, set, phi, rounds);
+        const std::vector<WeighedMotion> views = motions_of(motions, bundle.joints());
+        const nb::gil_scoped_release released;
+        return weigh(bundle, frame, views, reach_m, phi, set);
       },
-      nb::arg("bundle"), nb::arg("sums"), nb::arg("reach_m") = kUsualReach_m,
-      nb::arg("phi") = LoadParameters{}, nb::arg("set") = Load{}, nb::arg("rounds") = kLoadRounds,
-      "Estimates the load from the sums, beside one that is set. phi (10,): its parameters as known so far.");
-  m.def(
-      "weigh_sizes",
-      [](const Bundle& bundle) {
-        const WeighSettings settings = Weighing::settings_of(bundle);
-        std::vector<double> out;
-        for (std::size_t j = 0; j < bundle.links.size(); ++j) {
-          out.push_back(settings.offset_nm[j]);
-          out.push_back(settings.coulomb_nm[j]);
-        }
-        return to_numpy(std::move(out), {bundle.links.size(), 2});
-      },
-      nb::arg("bundle"),
-           "Standard deviations of each joint's offset and Coulomb friction in the fit of a load, (n, 2), [N m].");
-  m.def(
-      "load_parameters",
-      [](const std::array<double, 4>& found, double reach_m) { return numbers(beside(found, {}, reach_m)); },
-      nb::arg("found"), nb::arg("reach_m"),
-      "phi (10,) of a mass and a first moment: mass at least 0, centre within the reach, inertia of a ball.");
-  m.def("loads_together", &together, nb::arg("a"), nb::arg("b"), "Combines two bodies into one load.");
+      nb::arg("bundle"), nb::arg("frame"), nb::arg("motions"), nb::arg("reach_m") = kUsualReach_m,
+      nb::arg("phi") = LoadParameters{}, nb::arg("set") = Load{},
+      "Estimates the load from recordings, beside one that is set. motions: of each recording t_ns, q, dq; of its rows the\n"
+      "samples, tau_ext, sigma and worth. phi (10,): the load as known before.");
+  bind_known_weight(m);
 }
 
 }  // namespace tauext::bindings

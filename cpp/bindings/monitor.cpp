@@ -1,4 +1,4 @@
-// Monitor and flight recorder: the C++ objects that a controller uses.
+// The monitor that a controller uses.
 #include "tauext/monitor.hpp"
 
 #include <nanobind/stl/array.h>
@@ -13,17 +13,10 @@
 #include <optional>
 
 #include "arrays.hpp"
-#include "tauext/flight_recorder.hpp"
+#include "flights.hpp"
 
 namespace tauext::bindings {
 namespace {
-
-std::vector<std::string> cause_names(std::uint32_t causes) {
-  std::vector<std::string> names;
-  for (std::uint32_t k = 0; k < kCauseCount; ++k)
-    if (causes >> k & 1) names.emplace_back(name(static_cast<Cause>(1u << k)));
-  return names;
-}
 
 nb::bytes bytes_of(const std::vector<std::byte>& state) {
   return nb::bytes(reinterpret_cast<const char*>(state.data()), state.size());
@@ -66,19 +59,6 @@ Sample sample_of(const Monitor& monitor, const Whole& t_ns, const Array<double, 
   Sample sample{t_ns.named("t_ns"), of_joints(q, "q", n), of_joints(dq, "dq", n), of_joints(tau, "tau", n)};
   if (temperature) sample.temperature = temperatures_of(*temperature, n);
   return sample;
-}
-
-std::vector<std::uint8_t> bits(const std::vector<std::uint32_t>& words, std::size_t joints) {
-  std::vector<std::uint8_t> out;
-  for (std::uint32_t word : words)
-    for (std::size_t j = 0; j < joints; ++j) out.push_back(word >> j & 1);
-  return out;
-}
-
-std::vector<bool> joint_bits(std::uint32_t word, int joints) {
-  std::vector<bool> out;
-  for (int j = 0; j < joints; ++j) out.push_back(word >> j & 1);
-  return out;
 }
 
 std::vector<std::string> units(const Monitor& monitor, const std::string& (Monitor::*unit)(int) const) {
@@ -238,17 +218,6 @@ void set_load(Monitor& self, const Load& load, std::int64_t since_ns) {
   if (!self.set_load(load, since_ns)) throw Error(self.why_no_load(load, since_ns));
 }
 
-// Mass, centre of mass and inertia of every sample, (samples, 10).
-std::vector<double> load_rows(const std::vector<Load>& loads) {
-  std::vector<double> rows;
-  for (const Load& load : loads) {
-    rows.push_back(load.mass);
-    rows.insert(rows.end(), load.com.begin(), load.com.end());
-    rows.insert(rows.end(), load.inertia.begin(), load.inertia.end());
-  }
-  return rows;
-}
-
 // What run() returns of one sample without a monitor: no torque is known.
 ArrayDict no_estimate(int joints, Health health) {
   if (joints < 1 || joints > kMaxJoints) throw Error("joints must be 1 to " + std::to_string(kMaxJoints));
@@ -260,207 +229,10 @@ ArrayDict no_estimate(int joints, Health health) {
   return said.take();
 }
 
-using FlightDict = nb::typed<nb::dict, nb::str, nb::any>;
+using Signal = const Array<double, 1>&;
 
-std::optional<FlightDict> take(FlightRecorder& recorder, std::size_t n) {
-  Flight f;
-  {
-    nb::gil_scoped_release released;
-    if (!recorder.take(f)) return std::nullopt;
-  }
-  const std::size_t N = f.t_ns.size();
-  FlightDict out;
-  out["event_row"] = f.event_row;
-  out["event"] = f.event;
-  out["near_stiction"] = to_numpy(bits(f.near_stiction, n), {N, n});
-  out["load"] = to_numpy(load_rows(f.load), {N, 10});
-  out["t_ns"] = to_numpy(std::move(f.t_ns), {N});
-  out["q"] = to_numpy(std::move(f.q), {N, n});
-  out["dq"] = to_numpy(std::move(f.dq), {N, n});
-  out["tau"] = to_numpy(std::move(f.tau), {N, n});
-  out["residual"] = to_numpy(std::move(f.residual), {N, n});
-  out["prior"] = to_numpy(std::move(f.prior), {N, n});
-  out["network"] = to_numpy(std::move(f.network), {N, n});
-  out["drift"] = to_numpy(std::move(f.drift), {N, n});
-  out["tau_ext"] = to_numpy(std::move(f.tau_ext), {N, n});
-  out["load_nm"] = to_numpy(std::move(f.load_nm), {N, n});
-  out["declared_nm"] = to_numpy(std::move(f.declared_nm), {N, n});
-  out["sigma_nm"] = to_numpy(std::move(f.sigma_nm), {N, n});
-  out["contact_sigma_nm"] = to_numpy(std::move(f.contact_sigma_nm), {N, n});
-  out["limit_nm"] = to_numpy(std::move(f.limit_nm), {N, n});
-  out["contact_limit_nm"] = to_numpy(std::move(f.contact_limit_nm), {N, n});
-  out["causes"] = to_numpy(std::move(f.causes), {N});
-  out["health"] = to_numpy(std::move(f.health), {N});
-  out["alarm"] = to_numpy(std::move(f.alarm), {N});
-  out["held_alarm"] = to_numpy(std::move(f.held_alarm), {N});
-  out["touch"] = to_numpy(std::move(f.touch), {N});
-  out["detection"] = to_numpy(std::move(f.detection), {N});
-  return out;
-}
-
-void bind_estimate(nb::module_& m) {
-  nb::enum_<Alarm>(m, "Alarm",
-                   "Alarm levels. contact: over the contact limit for the hold time; ends by itself. collision: over the\n"
-                   "collision limit for the hold time; latched until acknowledged.")
-      .value("none", Alarm::none)
-      .value("contact", Alarm::contact)
-      .value("collision", Alarm::collision);
-  nb::enum_<Touch>(m, "Touch", "Kind of touch behind an alarm.")
-      .value("none", Touch::none, "No alarm.")
-      .value("unknown", Touch::unknown, "Not known yet, or none of the other kinds.")
-      .value("impact", Touch::impact, "The torque came and went within a bounce.")
-      .value("push", Touch::push, "The contact yields.")
-      .value("clamp", Touch::clamp,
-           "It does not yield: the torque grows as the arm moves on, or keeps growing at rest.")
-      .value("load", Touch::load, "A weight at the load frame.");
-  nb::enum_<LoadPhase>(m, "LoadPhase", "Progress of an expected load.")
-      .value("none", LoadPhase::none, "No load is expected.")
-      .value("expecting", LoadPhase::expecting, "No load detected yet.")
-      .value("deciding", LoadPhase::deciding, "An alarm is held back: the torque fits a load.")
-      .value("found", LoadPhase::found, "A load was set; more mass is added until the window ends.")
-      .value("weighing", LoadPhase::weighing, "The window is over and no alarm is held back; weighing continues.");
-  nb::enum_<Health>(m, "Health",
-                    "Whether the torques can be trusted. warming_up: no torques yet. stale: no new sample for up to a network\n"
-                    "period (below 300 Hz: three samples); the last torques are held. fault: the signals cannot be used;\n"
-                    "`causes` contains the reasons.")
-      .value("warming_up", Health::warming_up)
-      .value("ok", Health::ok)
-      .value("stale", Health::stale)
-      .value("fault", Health::fault);
-  m.def("cause_names", &cause_names, nb::arg("causes"),
-        "Names of the bits of `causes` of Monitor.run() and Estimates: why health is not ok.");
-  nb::class_<Estimate> estimate(m, "Estimate",
-      "The monitor's result for one sample; torques that do not exist are NaN.");
-  estimate.def_ro("t_ns", &Estimate::t_ns, "Time stamp of the sample, [ns].")
-      .def_ro("health", &Estimate::health,
-              "Whether the torques can be trusted. warming_up: tau_ext is NaN, for about a second after the start and after\n"
-              "a restart, whose cause is in `causes`.")
-      .def_prop_ro("causes", [](const Estimate& e) { return cause_names(e.causes); },
-                   "Names of the causes of a health that is not ok, or of the current warm-up.")
-      .def_ro("cause_joint", &Estimate::cause_joint, "Index of the first joint that a cause concerns; -1: none.")
-      .def_ro("alarm", &Estimate::alarm, "The latched alarm: a collision stays until acknowledge() or resume().")
-      .def_ro("held_alarm", &Estimate::held_alarm, "Level exceeded at this sample, after its hold time; not latched.")
-      .def_ro("alarm_joint", &Estimate::alarm_joint,
-           "Index of the joint that raised the alarm to its level; -1: no alarm.")
-      .def_ro("alarm_t_ns", &Estimate::alarm_t_ns, "Time at which the alarm rose to its level, [ns].")
-      .def_ro("alarm_number", &Estimate::alarm_number,
-              "Number of the newest alarm, which stands if one does; 0: there was none.")
-      .def_ro("touch_t_ns", &Estimate::touch_t_ns,
-              "Last sample at which some joint was over a limit, [ns]; 0: none since the last alarm.")
-      .def_ro("touch_over", &Estimate::touch_over,
-              "No alarm, or all torques within their limits, and known, for contact_release_s of the bundle.")
-      .def_ro("touch", &Estimate::touch,
-              "Kind of touch behind the alarm, as of the previous sample.")
-      .def_ro("detection", &Estimate::detection,
-              "Whether some |tau_ext| exceeds its collision limit at this sample; no hold time.")
-      .def_prop_ro("clear", &Estimate::clear, "Healthy and no alarm: the only condition that means no collision.")
-      .def_prop_ro("near_stiction", [](const Estimate& e) { return joint_bits(e.near_stiction, e.joints); },
-                   "Per joint: whether its limit near stiction applies.")
-      .def_prop_ro("drift_saturated", [](const Estimate& e) { return joint_bits(e.drift_saturated, e.joints); },
-                   "Per joint: whether its drift has reached the bound; retrain.")
-      .def_ro("unfamiliar", &Estimate::unfamiliar, "Distance of the motion from the training motion, 0 to 1.")
-      .def_ro("unseen", &Estimate::unseen,
-           "Main difference from the training motion, of unseen_joint and unseen_other.")
-      .def_ro("load", &Estimate::load, "Load that the model carries; mass 0: none.")
-      .def_ro("load_phase", &Estimate::load_phase, "Phase of an expected load.")
-      .def_ro("load_found_ns", &Estimate::load_found_ns,
-              "Time at which the last expected load was found, [ns]; 0: none.")
-      .def_ro("load_error_kg", &Estimate::load_error_kg, "Standard error of its mass, [kg].")
-      .def_ro("unseen_joint", &Estimate::unseen_joint, "Index of the joint of `unseen`; -1: none.")
-      .def_ro("unseen_other", &Estimate::unseen_other,
-              "Index of the joint whose position did not occur in training together with that of unseen_joint; -1: none.");
-  const auto bind_torques = [&](const char* torque, JointVector Estimate::*values, const char* doc) {
-    estimate.def_prop_ro(
-        torque,
-        [values](const Estimate& e) {
-          return std::vector<double>((e.*values).begin(), (e.*values).begin() + e.joints);
-        },
-        doc);
-  };
-  bind_torques("residual", &Estimate::residual, "r of the observer, [N m]: dr/dt = K0 (tau_dist - r).");
-  bind_torques("prior", &Estimate::prior,
-               "r that the prior expects in free motion, [N m]; 0 without a prior.");
-  bind_torques("network", &Estimate::network, "What the network adds to the prior, [N m]; 0 without a network.");
-  bind_torques("load_nm", &Estimate::load_nm,
-               "Part of tau_ext attributed to an expected load, [N m]; the alarm uses the rest. 0 if none is expected.");
-  bind_torques("declared_nm", &Estimate::declared_nm,
-               "Part of tau_ext that declared contacts explain, [N m]; the alarm uses the rest.");
-  estimate.def_ro("declared", &Estimate::declared, "State of the declared contact in effect.")
-      .def_ro("declared_contact", &Estimate::declared_contact, "Its number, of Monitor.expect_contact(); -1: none is in effect.")
-      .def_ro("declared_size", &Estimate::declared_size,
-              "Its force within the cone, however large, [N]; of a joint the torque, in its unit.")
-      .def_ro("declared_sigma", &Estimate::declared_sigma, "Standard error of declared_size.")
-      .def_ro("declared_moment_nm", &Estimate::declared_moment_nm, "Its moment, [N m].")
-      .def_ro("declared_travel_m", &Estimate::declared_travel_m,
-              "Way of its point along the axis since the contact began, [m].");
-  bind_torques("drift", &Estimate::drift,
-               "Slow changes of r since training, from the tracker, [N m]; 0 without a tracker.");
-  bind_torques("uncertainty", &Estimate::uncertainty,
-               "r expected in free motion: prior + network + drift, [N m].");
-  bind_torques("tau_ext", &Estimate::tau_ext,
-               "External torque, residual - uncertainty, [N m]: positive where the environment pushes the joint in its\n"
-               "positive direction.");
-  bind_torques("doubt", &Estimate::doubt,
-               "Possible error of the prior while presliding states are unknown, and of the load's torques, [N m]; limits\n"
-               "include it.");
-  bind_torques("sigma_nm", &Estimate::sigma_nm,
-               "Standard error of tau_ext in free motion, doubt included, [N m]; NaN without an error scale.");
-  bind_torques("contact_sigma_nm", &Estimate::contact_sigma_nm,
-               "Standard error of tau_ext during and after a contact, [N m]. Includes friction that a resting joint hides,\n"
-               "gear friction under load and the observer's lag. Equal to sigma_nm in free motion. Limits use sigma_nm.");
-  bind_torques("limit_scale", &Estimate::limit_scale, "Factor of the motion on the limits; 1 in usual motion.");
-  bind_torques("limit_nm", &Estimate::limit_nm,
-               "Collision limit of |tau_ext| at this sample, scale and doubt included, [N m].");
-  bind_torques("contact_limit_nm", &Estimate::contact_limit_nm,
-       "Contact limit of |tau_ext| at this sample, scale and doubt included, [N m].");
-  bind_torques("margin_nm", &Estimate::margin_nm, "limit_nm - |tau_ext - load_nm - declared_nm|, [N m]; negative at a detection.");
-}
-
-}  // namespace
-
-void bind_monitor(nb::module_& m) {
-  bind_estimate(m);
-  m.def("no_estimate", &no_estimate, nb::arg("joints"), nb::arg("health"),
-        "What Monitor.run() returns of one sample where nothing is monitored: torques are NaN, no alarm.");
-  struct Recorder : FlightRecorder {  // with the number of joints
-    std::size_t joints;
-    Recorder(int n, std::int64_t period_ns, const FlightSettings& s)
-        : FlightRecorder(n, period_ns, s), joints(static_cast<std::size_t>(n)) {}
-  };
-  nb::class_<Recorder>(m, "FlightRecorder", "Keeps the last seconds before an alarm or fault for another thread.")
-      .def(
-          "__init__",
-          [](Recorder* r, int joints, std::int64_t sample_period_ns, double before_s, double after_s, bool contacts) {
-            new (r) Recorder(joints, sample_period_ns, {before_s, after_s, contacts});
-          },
-          nb::arg("joints"), nb::arg("sample_period_ns"), nb::arg("before_s") = 5.0, nb::arg("after_s") = 1.0,
-          nb::arg("contacts") = false)
-      .def("finish", [](Recorder& r) { return r.finish(); },
-           "Hands over an event whose later samples are incomplete; call it at the end. False: take the previous flight\n"
-           "first, then call it again.")
-      .def("take", [](Recorder& r) { return take(r, r.joints); },
-           "Returns a flight as arrays, oldest row first, or None.")
-      .def_prop_ro("events", [](const Recorder& r) { return r.events(); },
-                   "Number of events, including those within the flight of another event.")
-      .def_prop_ro("missed", [](const Recorder& r) { return r.missed(); },
-                   "Number of flights discarded because the previous one was not taken in time.");
-
-  using Signal = const Array<double, 1>&;
-  nb::class_<Monitor>(m, "Monitor",
-      "Runs a bundle in a control loop: one sample in; external torque, alarm and health out.")
-      .def(
-          "__init__",
-          [](Monitor* monitor, nb::handle given, bool own_rate) {
-            if (!nb::isinstance<Bundle>(given))
-              throw Error("bundle is of type " + type_of(given) +
-                          "; it must be a Bundle, as load_bundle() returns it");
-            const auto& bundle = nb::cast<const Bundle&>(given);
-            const nb::gil_scoped_release released;
-            new (monitor) Monitor(bundle, own_rate ? NetworkRate::network_period : NetworkRate::every_sample);
-          },
-          nb::arg("bundle").none(), nb::arg("own_rate") = false,
-          nb::sig("def __init__(self, bundle: Bundle, own_rate: bool = False) -> None"))
-      .def(
+void bind_samples(nb::class_<Monitor>& monitor) {
+  monitor.def(
           "step",
           [](Monitor& self, const Whole& t_ns, Signal q, Signal dq, Signal tau, const Temperature& temperature) {
             return self.step(sample_of(self, t_ns, q, dq, tau, temperature));
@@ -483,185 +255,6 @@ void bind_monitor(nb::module_& m) {
       .def("no_sample", [](Monitor& self, const Whole& now_ns) { return self.no_sample(now_ns.named("now_ns")); }, nb::arg("now_ns"),
            "Reports that the loop ran without a sample: stale for up to a network period (below 300 Hz: three samples),\n"
            "then a fault.")
-      .def("acknowledge", &Monitor::acknowledge,
-           "Ends a latched alarm and does nothing else. If the cause persists, the alarm rises again.")
-      .def_prop_rw("alarms", [](const Monitor& self) { return self.last().alarm_number; }, &Monitor::count_alarms_from,
-                   "Number of the newest alarm; the next one has one more. Set it to continue a count.")
-      .def("resume", &Monitor::resume,
-           "Ends a latched alarm of an arm that nothing touches any more and that is about to move on. The static friction\n"
-           "of joints near stiction becomes unknown; with a prior, their limits are higher until they have slid.")
-      .def(
-          "set_limit_factors",
-          [](Monitor& self, Signal collision, Signal contact) {
-            if (!self.set_limit_factors(of_joints(collision, "collision", self.joints()),
-                                        of_joints(contact, "contact", self.joints())))
-              throw Error("limit factors must be " + std::to_string(self.joints()) + " numbers each for collision and " +
-                          "contact, one a joint, from " + to_text(LimitFactors::kLowest) + " to " +
-                          to_text(LimitFactors::kHighest));
-          },
-          nb::arg("collision"), nb::arg("contact"),
-               "Multiplies the bundle's limits by one factor per joint, 0.1 to 10, from the next sample on. Raises "
-               "CoreError, and\n"
-          "changes nothing, for other values.")
-      .def_prop_ro(
-          "limit_factors",
-          [](const Monitor& self) {
-            const LimitFactors& factors = self.limit_factors();
-            const auto listed = [&](const JointVector& all) { return std::vector(all.begin(), all.begin() + self.joints()); };
-            return std::pair(listed(factors.collision), listed(factors.contact));
-          },
-          "Factors in effect on the limits, of collision and contact, one per joint.")
-      .def(
-          "set_load",
-          [](Monitor& self, const Number& mass, Signal com, Signal inertia, const std::optional<Whole>& since_ns,
-             const Number& error_share) {
-            set_load(self, {mass.named("mass"), listed<3>(com, "com"), listed<6>(inertia, "inertia"), error_share.named("error_share")},
-                     since(self, since_ns));
-          },
-          nb::arg("mass"), nb::arg("com") = std::array<double, 3>{}, nb::arg("inertia") = std::array<double, 6>{},
-          nb::kw_only(), nb::arg("since_ns") = nb::none(), nb::arg("error_share") = Load::kUsualError,
-          "Sets what the arm carries from the next sample on, or as if it had been set at since_ns: mass [kg], centre of\n"
-          "mass [m] in load_settings.frame, inertia about it xx, yy, zz, xy, xz, yz [kg m^2]. Limits rise by error_share\n"
-          "of its torques. Raises CoreError, and changes nothing, if the load is refused.")
-      .def("clear_load", [](Monitor& self, const std::optional<Whole>& since_ns) {
-             if (self.load_settings().settable()) set_load(self, {}, since(self, since_ns));
-           },
-           nb::arg("since_ns") = nb::none(), "Removes the load.")
-      .def(
-          "expect_load",
-          [](Monitor& self, double seconds, double at_most_kg) {
-            if (!self.expect_load(seconds, at_most_kg)) throw Error(self.why_not_expected(seconds, at_most_kg));
-          },
-          nb::arg("seconds"), nb::arg("at_most_kg"),
-          "Announces that the gripper closes or opens: for `seconds` (at most 60), the arm may come to carry up to\n"
-          "at_most_kg in all. A step that fits is weighed, set and reported; any other step raises the usual alarm.\n"
-          "Raises CoreError, and changes nothing, if it is refused.")
-      .def("why_not_expected", &Monitor::why_not_expected, nb::arg("seconds"), nb::arg("at_most_kg"),
-           "Reason for which expect_load() would refuse; empty: none.")
-      .def(
-          "expect_contact",
-          [](Monitor& self, const NamedContact& named, double seconds) {
-            const DeclaredContact contact = contact_of(self.wrench_model(), named);
-            const int which = self.expect_contact(contact, seconds);
-            if (which < 0) throw Error(self.why_no_contact(contact, seconds));
-            return which;
-          },
-          nb::arg("contact"), nb::arg("seconds") = kAlways_s,
-          "Declares a contact that the task means, for `seconds` from the next sample on; without a time until end_contact().\n"
-          "The alarm then uses only the part of tau_ext that nothing within its bounds explains; drift, weighing and a refit learn\n"
-          "nothing. Returns its number. Raises CoreError, and changes nothing, if it is refused.")
-      .def("end_contact", &Monitor::end_contact, nb::arg("which"),
-           "Ends a declared contact at once. False: there is none of this number.")
-      .def(
-          "why_no_contact",
-          [](const Monitor& self, const NamedContact& named, double seconds) {
-            try {
-              return self.why_no_contact(contact_of(self.wrench_model(), named), seconds);
-            } catch (const Error& error) {
-              return std::string(error.what());
-            }
-          },
-          nb::arg("contact"), nb::arg("seconds") = kAlways_s, "Reason for which expect_contact() would refuse; empty: none.")
-      .def(
-          "unmonitored", [](const Monitor& self, const NamedContact& named) { return self.unmonitored(contact_of(self.wrench_model(), named)); },
-          nb::arg("contact"), "What is not monitored while the contact is in effect, as a sentence; empty: nothing.")
-      .def(
-          "tool_force",
-          [](const Monitor& self, WrenchAxes axes) {
-            FrameToolForce tool;
-            static_cast<ToolForce&>(tool) = self.tool_force(axes);
-            static_cast<Wrench&>(tool.at) = tool.wrench;
-            tool.at.axes = axes;
-            if (tool.frame >= 0) tool.at.frame = self.wrench_model().frame(tool.frame).name;
-            return tool;
-          },
-          nb::arg("axes") = WrenchAxes::base,
-          "The force that acts on the tool, at the last sample: at the declared contact in effect, else at the load frame; with\n"
-          "covariance and its standard errors by cause.")
-      .def_prop_ro("load", [](const Monitor& self) { return self.load(); },
-                   "Load from the next sample on; mass 0: none.")
-      .def_prop_ro("load_settings", [](const Monitor& self) { return self.load_settings(); },
-                   "Load frame, and the largest accepted mass and reach.")
-      .def(
-          "why_no_load",
-          [](const Monitor& self, const Load& load, const std::optional<Whole>& since_ns) {
-            return self.why_no_load(load, since(self, since_ns));
-          },
-          nb::arg("load"), nb::arg("since_ns") = nb::none(), "Reason for which set_load() would refuse; empty: none.")
-      .def(
-          "set_temperature",
-          [](Monitor& self, Signal celsius) {
-            self.set_temperature(temperatures_of(celsius, self.joints()));
-          },
-          nb::arg("celsius"),
-               "Sets the joint temperatures [degC] from the next sample on; NaN: unknown, the last known value "
-               "remains in effect.")
-      .def(
-          "start_weighing",
-          [](Monitor& self, double reach_m) {
-            if (self.start_weighing(reach_m)) return;
-            const std::string reason = self.why_no_weighing();
-            throw Error(reason.empty() ? "the reach of a load = " + to_text(reach_m) + " m must be above 0" : reason);
-          },
-          nb::arg("reach_m") = kUsualReach_m,
-          "Starts to weigh what the arm carries beside the load that is set, from the next sample on; drift does not learn\n"
-          "meanwhile. reach_m: largest distance of the centre of mass from the load frame. Raises CoreError if refused.")
-      .def("stop_weighing", &Monitor::stop_weighing, "Ends weighing; estimate_load() still returns the result.")
-      .def_prop_ro("weighing", &Monitor::weighing, "Whether weighing is active.")
-      .def("estimate_load", &Monitor::estimate_load, "Returns the result so far; its `load` is for set_load().")
-      .def("why_no_weighing", &Monitor::why_no_weighing, "Reason for which start_weighing() would refuse; empty: none.")
-      .def(
-          "wrench",
-          [](const Monitor& self, const std::string& frame, WrenchAxes axes) {
-            return FrameWrench{self.wrench(frame_of(self.wrench_model(), frame), axes), frame, axes, {}};
-          },
-          nb::arg("frame"), nb::arg("axes") = WrenchAxes::base,
-          "Force and moment that the environment exerts on the arm at a frame, at the last sample. Frames: links by their\n"
-          "joints, the load frame, frames of the robot file; see wrench_frames.")
-      .def(
-          "force",
-          [](const Monitor& self, const std::string& frame, const std::array<double, 3>& point, WrenchAxes axes) {
-            return FrameWrench{self.force(frame_of(self.wrench_model(), frame), point, axes), frame, axes, point};
-          },
-          nb::arg("frame"), nb::arg("point") = std::array<double, 3>{}, nb::arg("axes") = WrenchAxes::base,
-          "Estimates a force without a moment at a point of the frame, [m] along the frame's own axes; more accurate than\n"
-          "wrench().")
-      .def_prop_ro(
-          "wrench_frames",
-          [](const Monitor& self) {
-            std::vector<std::string> names;
-            for (int k = 0; k < self.wrench_model().frames(); ++k) names.push_back(self.wrench_model().frame(k).name);
-            return names;
-          },
-          "Names of the frames for wrench().")
-      .def("why_no_wrench", &Monitor::why_no_wrench, "Reason for which there is no wrench; empty: none.")
-      .def("reset", &Monitor::reset, "Returns to the state of a new monitor.")
-      .def("reserve_refit", &Monitor::reserve_refit, nb::arg("seconds") = 60.0,
-           "Reserves memory for `seconds` of motion (at most 600); call it before the loop. Discards stored motion.")
-      .def(
-          "start_refit",
-          [](Monitor& self, double friction_share) {
-            if (!self.start_refit(friction_share))
-              throw Error("a refit needs reserve_refit(), a prior with friction, and a friction_share of 0 to 2, not " +
-                          to_text(friction_share));
-          },
-          nb::arg("friction_share") = Monitor::kRefitFrictionShare,
-          "Stores motion from the next sample on; meanwhile limits are higher by this share of the friction.")
-      .def_prop_ro("refit_full", &Monitor::refit_full, "Whether the reserved memory is full.")
-      .def(
-          "finish_refit",
-          [](Monitor& self) {
-            const RecordingView r = self.finish_refit();
-            const auto N = static_cast<std::size_t>(r.samples), n = static_cast<std::size_t>(r.joints);
-            const auto copy = [&](const double* from) { return to_numpy(std::vector(from, from + N * n), {N, n}); };
-            ArrayDict out;
-            out["t_ns"] = to_numpy(std::vector(r.t_ns, r.t_ns + N), {N});
-            out["q"] = copy(r.q);
-            out["dq"] = copy(r.dq);
-            out["tau"] = copy(r.tau);
-            return out;
-          },
-          "Restores the usual limits and returns the stored motion, for tauext.refit_motion.")
       .def(
           "run",
           [](Monitor& self, const Array<std::int64_t, 1>& t_ns, const Array<double, 2>& q, const Array<double, 2>& dq,
@@ -688,7 +281,207 @@ void bind_monitor(nb::module_& m) {
           nb::arg("t_ns"), nb::arg("recorder") = nb::none(),
           "Calls step() for a sample without one value for each joint, a fault; returns a single row as run() does.")
       .def_prop_ro("last", [](const Monitor& self) { return self.last(); }, "The last estimate.")
-      .def_prop_ro("joints", &Monitor::joints, "Number of joints.")
+      .def(
+          "set_temperature",
+          [](Monitor& self, Signal celsius) {
+            self.set_temperature(temperatures_of(celsius, self.joints()));
+          },
+          nb::arg("celsius"),
+               "Sets the joint temperatures [degC] from the next sample on; NaN: unknown, the last known value "
+               "remains in effect.")
+      .def("reset", &Monitor::reset, "Returns to the state of a new monitor.");
+}
+
+void bind_alarms(nb::class_<Monitor>& monitor) {
+  monitor.def("acknowledge", &Monitor::acknowledge,
+           "Ends a latched alarm and does nothing else. If the cause persists, the alarm rises again.")
+      .def_prop_rw("alarms", [](const Monitor& self) { return self.last().alarm_number; }, &Monitor::count_alarms_from,
+                   "Number of the newest alarm; the next one has one more. Set it to continue a count.")
+      .def("resume", &Monitor::resume,
+           "Ends a latched alarm of an arm that nothing touches any more and that is about to move on. The static friction\n"
+           "of joints near stiction becomes unknown; with a prior, their limits are higher until they have slid.")
+      .def(
+          "set_limit_factors",
+          [](Monitor& self, Signal collision, Signal contact) {
+            if (!self.set_limit_factors(of_joints(collision, "collision", self.joints()),
+                                        of_joints(contact, "contact", self.joints())))
+              throw Error("limit factors must be " + std::to_string(self.joints()) + " numbers each for collision and " +
+                          "contact, one a joint, from " + to_text(LimitFactors::kLowest) + " to " +
+                          to_text(LimitFactors::kHighest));
+          },
+          nb::arg("collision"), nb::arg("contact"),
+               "Multiplies the bundle's limits by one factor per joint, 0.1 to 10, from the next sample on. Raises "
+               "CoreError, and\n"
+          "changes nothing, for other values.")
+      .def_prop_ro(
+          "limit_factors",
+          [](const Monitor& self) {
+            const LimitFactors& factors = self.limit_factors();
+            const auto listed = [&](const JointVector& all) { return std::vector(all.begin(), all.begin() + self.joints()); };
+            return std::pair(listed(factors.collision), listed(factors.contact));
+          },
+          "Factors in effect on the limits, of collision and contact, one per joint.");
+}
+
+void bind_loads(nb::class_<Monitor>& monitor) {
+  monitor.def(
+          "set_load",
+          [](Monitor& self, const Number& mass, Signal com, Signal inertia, const std::optional<Whole>& since_ns,
+             const Number& error_share) {
+            set_load(self, {mass.named("mass"), listed<3>(com, "com"), listed<6>(inertia, "inertia"), error_share.named("error_share")},
+                     since(self, since_ns));
+          },
+          nb::arg("mass"), nb::arg("com") = std::array<double, 3>{}, nb::arg("inertia") = std::array<double, 6>{},
+          nb::kw_only(), nb::arg("since_ns") = nb::none(), nb::arg("error_share") = Load::kUsualError,
+          "Sets what the arm carries from the next sample on, or as if it had been set at since_ns: mass [kg], centre of\n"
+          "mass [m] in load_settings.frame, inertia about it xx, yy, zz, xy, xz, yz [kg m^2]. Limits rise by error_share\n"
+          "of its torques. Raises CoreError, and changes nothing, if the load is refused.")
+      .def("clear_load", [](Monitor& self, const std::optional<Whole>& since_ns) {
+             if (self.load_settings().settable()) set_load(self, {}, since(self, since_ns));
+           },
+           nb::arg("since_ns") = nb::none(), "Removes the load.")
+      .def_prop_ro("load", [](const Monitor& self) { return self.load(); },
+                   "Load from the next sample on; mass 0: none.")
+      .def_prop_ro("load_settings", [](const Monitor& self) { return self.load_settings(); },
+                   "Load frame, and the largest accepted mass and reach.")
+      .def(
+          "why_no_load",
+          [](const Monitor& self, const Load& load, const std::optional<Whole>& since_ns) {
+            return self.why_no_load(load, since(self, since_ns));
+          },
+          nb::arg("load"), nb::arg("since_ns") = nb::none(), "Reason for which set_load() would refuse; empty: none.")
+      .def(
+          "expect_load",
+          [](Monitor& self, double seconds, double at_most_kg) {
+            if (!self.expect_load(seconds, at_most_kg)) throw Error(self.why_not_expected(seconds, at_most_kg));
+          },
+          nb::arg("seconds"), nb::arg("at_most_kg"),
+          "Announces that the gripper closes or opens: for `seconds` (at most 60), the arm may come to carry up to\n"
+          "at_most_kg in all. A step that fits is weighed, set and reported; any other step raises the usual alarm.\n"
+          "Raises CoreError, and changes nothing, if it is refused.")
+      .def("why_not_expected", &Monitor::why_not_expected, nb::arg("seconds"), nb::arg("at_most_kg"),
+           "Reason for which expect_load() would refuse; empty: none.");
+}
+
+void bind_weighing(nb::class_<Monitor>& monitor) {
+  monitor.def(
+          "start_weighing",
+          [](Monitor& self, double reach_m) {
+            if (self.start_weighing(reach_m)) return;
+            const std::string reason = self.why_no_weighing();
+            throw Error(reason.empty() ? "the reach of a load = " + to_text(reach_m) + " m must be above 0" : reason);
+          },
+          nb::arg("reach_m") = kUsualReach_m,
+          "Starts to weigh what the arm carries beside the load that is set, from the next sample on; drift does not learn\n"
+          "meanwhile. reach_m: largest distance of the centre of mass from the load frame. Raises CoreError if refused.")
+      .def("stop_weighing", &Monitor::stop_weighing, "Ends weighing; estimate_load() still returns the result.")
+      .def_prop_ro("weighing", &Monitor::weighing, "Whether weighing is active.")
+      .def("estimate_load", &Monitor::estimate_load, "Returns the result so far; its `load` is for set_load().")
+      .def("why_no_weighing", &Monitor::why_no_weighing, "Reason for which start_weighing() would refuse; empty: none.");
+}
+
+void bind_contacts(nb::class_<Monitor>& monitor) {
+  monitor.def(
+          "expect_contact",
+          [](Monitor& self, const NamedContact& named, double seconds) {
+            const DeclaredContact contact = contact_of(self.wrench_model(), named);
+            const int which = self.expect_contact(contact, seconds);
+            if (which < 0) throw Error(self.why_no_contact(contact, seconds));
+            return which;
+          },
+          nb::arg("contact"), nb::arg("seconds") = kAlways_s,
+          "Declares a contact that the task means, for `seconds` from the next sample on; without a time until end_contact().\n"
+          "The alarm then uses only the part of tau_ext that nothing within its bounds explains; drift, weighing and a refit learn\n"
+          "nothing. Returns its number. Raises CoreError, and changes nothing, if it is refused.")
+      .def("end_contact", &Monitor::end_contact, nb::arg("which"),
+           "Ends a declared contact at once. False: there is none of this number.")
+      .def(
+          "why_no_contact",
+          [](const Monitor& self, const NamedContact& named, double seconds) {
+            try {
+              return self.why_no_contact(contact_of(self.wrench_model(), named), seconds);
+            } catch (const Error& error) {
+              return std::string(error.what());
+            }
+          },
+          nb::arg("contact"), nb::arg("seconds") = kAlways_s, "Reason for which expect_contact() would refuse; empty: none.")
+      .def(
+          "unmonitored", [](const Monitor& self, const NamedContact& named) { return self.unmonitored(contact_of(self.wrench_model(), named)); },
+          nb::arg("contact"), "What is not monitored while the contact is in effect, as a sentence; empty: nothing.");
+}
+
+void bind_wrenches(nb::class_<Monitor>& monitor) {
+  monitor.def(
+          "tool_force",
+          [](const Monitor& self, WrenchAxes axes) {
+            FrameToolForce tool;
+            static_cast<ToolForce&>(tool) = self.tool_force(axes);
+            static_cast<Wrench&>(tool.at) = tool.wrench;
+            tool.at.axes = axes;
+            if (tool.frame >= 0) tool.at.frame = self.wrench_model().frame(tool.frame).name;
+            return tool;
+          },
+          nb::arg("axes") = WrenchAxes::base,
+          "The force that acts on the tool, at the last sample: at the declared contact in effect, else at the load frame; with\n"
+          "covariance and its standard errors by cause.")
+      .def(
+          "wrench",
+          [](const Monitor& self, const std::string& frame, WrenchAxes axes) {
+            return FrameWrench{self.wrench(frame_of(self.wrench_model(), frame), axes), frame, axes, {}};
+          },
+          nb::arg("frame"), nb::arg("axes") = WrenchAxes::base,
+          "Force and moment that the environment exerts on the arm at a frame, at the last sample. Frames: links by their\n"
+          "joints, the load frame, frames of the robot file; see wrench_frames.")
+      .def(
+          "force",
+          [](const Monitor& self, const std::string& frame, const std::array<double, 3>& point, WrenchAxes axes) {
+            return FrameWrench{self.force(frame_of(self.wrench_model(), frame), point, axes), frame, axes, point};
+          },
+          nb::arg("frame"), nb::arg("point") = std::array<double, 3>{}, nb::arg("axes") = WrenchAxes::base,
+          "Estimates a force without a moment at a point of the frame, [m] along the frame's own axes; more accurate than\n"
+          "wrench().")
+      .def_prop_ro(
+          "wrench_frames",
+          [](const Monitor& self) {
+            std::vector<std::string> names;
+            for (int k = 0; k < self.wrench_model().frames(); ++k) names.push_back(self.wrench_model().frame(k).name);
+            return names;
+          },
+          "Names of the frames for wrench().")
+      .def("why_no_wrench", &Monitor::why_no_wrench, "Reason for which there is no wrench; empty: none.");
+}
+
+void bind_refits(nb::class_<Monitor>& monitor) {
+  monitor.def("reserve_refit", &Monitor::reserve_refit, nb::arg("seconds") = 60.0,
+           "Reserves memory for `seconds` of motion (at most 600); call it before the loop. Discards stored motion.")
+      .def(
+          "start_refit",
+          [](Monitor& self, double friction_share) {
+            if (!self.start_refit(friction_share))
+              throw Error("a refit needs reserve_refit(), a prior with friction, and a friction_share of 0 to 2, not " +
+                          to_text(friction_share));
+          },
+          nb::arg("friction_share") = Monitor::kRefitFrictionShare,
+          "Stores motion from the next sample on; meanwhile limits are higher by this share of the friction.")
+      .def_prop_ro("refit_full", &Monitor::refit_full, "Whether the reserved memory is full.")
+      .def(
+          "finish_refit",
+          [](Monitor& self) {
+            const RecordingView r = self.finish_refit();
+            const auto N = static_cast<std::size_t>(r.samples), n = static_cast<std::size_t>(r.joints);
+            const auto copy = [&](const double* from) { return to_numpy(std::vector(from, from + N * n), {N, n}); };
+            ArrayDict out;
+            out["t_ns"] = to_numpy(std::vector(r.t_ns, r.t_ns + N), {N});
+            out["q"] = copy(r.q);
+            out["dq"] = copy(r.dq);
+            out["tau"] = copy(r.tau);
+            return out;
+          },
+          "Restores the usual limits and returns the stored motion, for tauext.refit_motion.");
+}
+
+void bind_facts(nb::class_<Monitor>& monitor) {
+  monitor.def_prop_ro("joints", &Monitor::joints, "Number of joints.")
       .def_prop_ro("joint_names",
                    [](const Monitor& self) {
                      std::vector<std::string> names;
@@ -707,8 +500,11 @@ void bind_monitor(nb::module_& m) {
       .def_prop_ro("restarts", &Monitor::restarts, "Number of restarts of the chain after its first start.")
       .def_prop_ro("clock_jumps", &Monitor::clock_jumps,
                    "Restarts because the stamps jumped: back, by a gap of more than 10 s, or none newer in 100 samples. Everything\n"
-                   "with a time ended then: contacts declared for a time, an expected load, weighing, motion for a refit.")
-      .def("save_state",
+                   "with a time ended then: contacts declared for a time, an expected load, weighing, motion for a refit.");
+}
+
+void bind_states(nb::class_<Monitor>& monitor) {
+  monitor.def("save_state",
            [](const Monitor& self) {
              std::vector<std::byte> state(self.state_bytes());
              self.save_state(state);
@@ -746,6 +542,36 @@ void bind_monitor(nb::module_& m) {
           nb::arg("carried"),
           "Continues the alarm, its kind of touch and the joints pushed while stuck. Raises CoreError, and changes nothing,\n"
           "if it does not fit.");
+}
+
+}  // namespace
+
+void bind_monitor(nb::module_& m) {
+  m.def("no_estimate", &no_estimate, nb::arg("joints"), nb::arg("health"),
+        "What Monitor.run() returns of one sample where nothing is monitored: torques are NaN, no alarm.");
+  nb::class_<Monitor> monitor(m, "Monitor",
+      "Runs a bundle in a control loop: one sample in; external torque, alarm and health out.");
+  monitor.def(
+          "__init__",
+          [](Monitor* self, nb::handle given, bool own_rate) {
+            if (!nb::isinstance<Bundle>(given))
+              throw Error("bundle is of type " + type_of(given) +
+                          "; it must be a Bundle, as load_bundle() returns it");
+            const auto& bundle = nb::cast<const Bundle&>(given);
+            const nb::gil_scoped_release released;
+            new (self) Monitor(bundle, own_rate ? NetworkRate::network_period : NetworkRate::every_sample);
+          },
+          nb::arg("bundle").none(), nb::arg("own_rate") = false,
+          nb::sig("def __init__(self, bundle: Bundle, own_rate: bool = False) -> None"));
+  bind_samples(monitor);
+  bind_alarms(monitor);
+  bind_loads(monitor);
+  bind_weighing(monitor);
+  bind_contacts(monitor);
+  bind_wrenches(monitor);
+  bind_refits(monitor);
+  bind_facts(monitor);
+  bind_states(monitor);
 }
 
 }  // namespace tauext::bindings

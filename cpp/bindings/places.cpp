@@ -45,21 +45,7 @@ ArrayDict arrays_of(LinkSurface surface) {
   return out;
 }
 
-}  // namespace
-
-void bind_places(nb::module_& m) {
-  nb::class_<Capsule>(m, "Capsule",
-      "Part of a link's shape: all points within radius_m of the line from start to end, [m] in the link's frame.")
-      .def(
-          "__init__",
-          [](Capsule* c, int link, std::array<double, 3> start, std::array<double, 3> end, double radius_m) {
-            new (c) Capsule{link, start, end, radius_m};
-          },
-          nb::arg("link"), nb::arg("start"), nb::arg("end"), nb::arg("radius_m"))
-      .def_ro("link", &Capsule::link)
-      .def_ro("start", &Capsule::start)
-      .def_ro("end", &Capsule::end)
-      .def_ro("radius_m", &Capsule::radius_m);
+void bind_result(nb::module_& m) {
   nb::class_<TouchPlace>(m, "TouchPlace", "A force at a point of a link's surface that explains tau_ext.")
       .def_ro("link", &TouchPlace::link, "Number of the joint that carries the link.")
       .def_ro("probability", &TouchPlace::probability, "Probability that the touch is on this part of the link.")
@@ -104,6 +90,47 @@ void bind_places(nb::module_& m) {
       .def_prop_ro("at_frame", [](const Found& f) { return f.at_frame; },
                    "Probability of a force in any direction at the frame's origin, compared with a touch elsewhere on the "
                    "arm; both have the same prior probability. NaN without a frame.");
+}
+
+void bind_surfaces(nb::module_& m) {
+  nb::class_<Capsule>(m, "Capsule",
+      "Part of a link's shape: all points within radius_m of the line from start to end, [m] in the link's frame.")
+      .def(
+          "__init__",
+          [](Capsule* c, int link, std::array<double, 3> start, std::array<double, 3> end, double radius_m) {
+            new (c) Capsule{link, start, end, radius_m};
+          },
+          nb::arg("link"), nb::arg("start"), nb::arg("end"), nb::arg("radius_m"))
+      .def_ro("link", &Capsule::link)
+      .def_ro("start", &Capsule::start)
+      .def_ro("end", &Capsule::end)
+      .def_ro("radius_m", &Capsule::radius_m);
+  m.def(
+      "surface_of",
+      [](const std::vector<Capsule>& capsules, int points) {
+        check_points(points);
+        return arrays_of(surface_of(capsules, points));
+      },
+      nb::arg("capsules"), nb::arg("points"),
+      "Points spread evenly over the union of a link's capsules: points (n, 3), inwards (n, 3), share (n,) of the area.");
+  m.def(
+      "guessed_surface",
+      [](const Bundle& bundle, int link, int points) {
+        check_points(points);
+        if (link < 0 || link >= bundle.joints())
+          throw Error("link = " + std::to_string(link) + " must be 0 to " + std::to_string(bundle.joints() - 1));
+        return arrays_of(guessed_surface(bundle, link, points));
+      },
+      nb::arg("bundle"), nb::arg("link"), nb::arg("points"),
+      "Points of shapes that a link may have, at most as many as given: points (n, 3), inwards (n, 3), share (n,), the "
+      "probability of each.");
+}
+
+}  // namespace
+
+void bind_places(nb::module_& m) {
+  bind_result(m);
+  bind_surfaces(m);
   nb::class_<PlaceModel>(m, "PlaceModel",
       "Estimates which link is touched, and where; equations in touch_place.hpp. Use it from one thread at a time.")
       .def(nb::init<const Bundle&>(), nb::arg("bundle"), nb::call_guard<nb::gil_scoped_release>())
@@ -141,25 +168,6 @@ void bind_places(nb::module_& m) {
           "contact_sigma_nm: of the estimate; empty: free motion. link: the touched link, if known; only its places are "
           "reported. frame: frame of at_frame. dq: the friction that a touch adds to moving joints is subtracted; None: "
           "joints at rest.");
-  m.def(
-      "surface_of",
-      [](const std::vector<Capsule>& capsules, int points) {
-        check_points(points);
-        return arrays_of(surface_of(capsules, points));
-      },
-      nb::arg("capsules"), nb::arg("points"),
-      "Points spread evenly over the union of a link's capsules: points (n, 3), inwards (n, 3), share (n,) of the area.");
-  m.def(
-      "guessed_surface",
-      [](const Bundle& bundle, int link, int points) {
-        check_points(points);
-        if (link < 0 || link >= bundle.joints())
-          throw Error("link = " + std::to_string(link) + " must be 0 to " + std::to_string(bundle.joints() - 1));
-        return arrays_of(guessed_surface(bundle, link, points));
-      },
-      nb::arg("bundle"), nb::arg("link"), nb::arg("points"),
-      "Points of shapes that a link may have, at most as many as given: points (n, 3), inwards (n, 3), share (n,), the "
-      "probability of each.");
 }
 
 }  // namespace tauext::bindings

@@ -45,9 +45,7 @@ struct Input {
   explicit Input(const ServoSettings& s) : joints(s.joints.size()), settings(s), input(s) {}
 };
 
-}  // namespace
-
-void bind_servo(nb::module_& m) {
+void bind_settings(nb::module_& m) {
   nb::enum_<TorqueFrom>(m, "TorqueFrom", "Signal from which a servo's torque is computed; see settings.hpp.")
       .value("torque", TorqueFrom::torque)
       .value("phase_current", TorqueFrom::phase_current)
@@ -90,6 +88,12 @@ void bind_servo(nb::module_& m) {
       .def_ro("goal_delay_ns", &ServoSettings::goal_delay_ns, "Time after which a goal acts, [ns].")
       .def_prop_ro("joints", [](const ServoSettings& s) { return s.joints; }, "Constants per joint.")
       .def_prop_ro("on", &ServoSettings::on, "Whether these are servos.");
+}
+
+}  // namespace
+
+void bind_servo(nb::module_& m) {
+  bind_settings(m);
   nb::class_<Input>(m, "ServoInput",
       "Computes dq and tau from servo signals, sample by sample; equations in servo_input.hpp.")
       .def(nb::init<const ServoSettings&>(), nb::arg("settings"))

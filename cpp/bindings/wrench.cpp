@@ -84,6 +84,38 @@ int expect_frame(const WrenchModel& model, const std::string& name) {
   throw Error("frame = '" + name + "' must be one of " + known);
 }
 
+void expect_positions(const WrenchModel& model, const std::vector<double>& q) {
+  if (q.size() != static_cast<std::size_t>(model.joints()))
+    throw Error("q must hold " + std::to_string(model.joints()) + " values");
+}
+
+nb::ndarray<nb::numpy, double> columns(const WrenchModel& model, const std::string& frame, const std::vector<double>& q,
+                                       const std::array<double, 3>& point, WrenchAxes axes) {
+  expect_positions(model, q);
+  std::vector<double> out(6 * q.size());
+  model.columns(expect_frame(model, frame), q, point, axes, out);
+  return to_numpy(std::move(out), {6, q.size()});
+}
+
+std::pair<nb::ndarray<nb::numpy, double>, nb::ndarray<nb::numpy, double>> pose(
+    const WrenchModel& model, const std::string& frame, const std::vector<double>& q) {
+  expect_positions(model, q);
+  const auto [rotation, origin] = model.pose(expect_frame(model, frame), q);
+  return {to_numpy(std::vector(rotation.begin(), rotation.end()), {3, 3}),
+          to_numpy(std::vector(origin.begin(), origin.end()), {3})};
+}
+
+nb::ndarray<nb::numpy, double> covariance_of_joints(const WrenchModel& model, bool force_alone,
+                                                    const std::vector<double>& tau_ext, const std::vector<double>& sigma_nm,
+                                                    const std::vector<double>& contact_sigma_nm) {
+  const auto n = static_cast<std::size_t>(model.joints());
+  if (tau_ext.size() != n || sigma_nm.size() != n || (!contact_sigma_nm.empty() && contact_sigma_nm.size() != n))
+    throw Error("tau_ext, sigma_nm and contact_sigma_nm must hold " + std::to_string(n) + " values");
+  std::vector<double> out(n * n);
+  model.covariance(force_alone ? WrenchKind::force : WrenchKind::wrench, tau_ext, sigma_nm, contact_sigma_nm, out);
+  return to_numpy(std::move(out), {n, n});
+}
+
 ArrayDict wrenches(const WrenchModel& model, const std::string& name, const Array<double, 2>& q,
                    const Array<double, 2>& tau_ext, const Array<double, 2>& sigma_nm,
                    const std::optional<std::array<double, 3>>& point, WrenchAxes axes,
@@ -132,14 +164,7 @@ ArrayDict wrenches(const WrenchModel& model, const std::string& name, const Arra
   return out;
 }
 
-}  // namespace
-
-int frame_of(const WrenchModel& model, const std::string& name) {
-  if (!model.refused().empty()) throw Error("no wrench: " + model.refused());
-  return expect_frame(model, name);
-}
-
-void bind_wrench(nb::module_& m) {
+void bind_settings(nb::module_& m) {
   nb::enum_<WrenchAxes>(m, "WrenchAxes",
       "Axes of force and moment. The moment is about the frame's origin in both cases.")
       .value("base", WrenchAxes::base)
@@ -171,6 +196,9 @@ void bind_wrench(nb::module_& m) {
       .def_rw("radius", &WrenchSettings::radius, "Factors on the variances of free motion: for a wrench, for a force.")
       .def_rw("residual_radius", &WrenchSettings::residual_radius,
            "Factors on the chi-square of the remainder: for a wrench, for a force.");
+}
+
+void bind_result(nb::module_& m) {
   nb::class_<FrameWrench>(m, "Wrench",
       "Force and moment that the environment exerts on the arm at a frame, with covariance.")
       .def("__repr__", &repr)
@@ -194,6 +222,18 @@ void bind_wrench(nb::module_& m) {
            "Degrees of freedom of chi_square; 0: some wrench at this frame explains any torques.")
       .def_ro("consistent", &Wrench::consistent,
            "Probability of such a chi_square or a larger one for a touch at this frame.");
+}
+
+}  // namespace
+
+int frame_of(const WrenchModel& model, const std::string& name) {
+  if (!model.refused().empty()) throw Error("no wrench: " + model.refused());
+  return expect_frame(model, name);
+}
+
+void bind_wrench(nb::module_& m) {
+  bind_settings(m);
+  bind_result(m);
   nb::class_<WrenchModel>(m, "WrenchModel",
       "Estimates wrenches at the frames of a bundle's arm; equations in wrench.hpp.")
       .def(nb::init<const Bundle&>(), nb::arg("bundle"), nb::call_guard<nb::gil_scoped_release>())
@@ -216,39 +256,15 @@ void bind_wrench(nb::module_& m) {
           },
           "Links by the names of their joints, then the load frame, then frames of the robot file.")
       .def(
-          "columns",
-          [](const WrenchModel& self, const std::string& frame, const std::vector<double>& q,
-             const std::array<double, 3>& point, WrenchAxes axes) {
-            const auto n = static_cast<std::size_t>(self.joints());
-            if (q.size() != n) throw Error("q must hold " + std::to_string(n) + " values");
-            std::vector<double> out(6 * n);
-            self.columns(expect_frame(self, frame), q, point, axes, out);
-            return to_numpy(std::move(out), {6, n});
-          },
+          "columns", &columns,
           nb::arg("frame"), nb::arg("q"), nb::arg("point") = std::array<double, 3>{}, nb::arg("axes") = WrenchAxes::base,
           "Joint torques of a unit force, then of a unit moment, (6, joints): the Jacobian of the frame's point.")
       .def(
-          "pose",
-          [](const WrenchModel& self, const std::string& frame, const std::vector<double>& q) {
-            if (q.size() != static_cast<std::size_t>(self.joints()))
-              throw Error("q must hold " + std::to_string(self.joints()) + " values");
-            const auto [rotation, origin] = self.pose(expect_frame(self, frame), q);
-            return std::pair(to_numpy(std::vector(rotation.begin(), rotation.end()), {3, 3}),
-                             to_numpy(std::vector(origin.begin(), origin.end()), {3}));
-          },
+          "pose", &pose,
           nb::arg("frame"), nb::arg("q"),
                "Pose of a frame: rotation base from frame (3, 3), and origin in the base's frame (3,), [m].")
       .def(
-          "covariance",
-          [](const WrenchModel& self, bool force_alone, const std::vector<double>& tau_ext, const std::vector<double>& sigma_nm,
-             const std::vector<double>& contact_sigma_nm) {
-            const auto n = static_cast<std::size_t>(self.joints());
-            if (tau_ext.size() != n || sigma_nm.size() != n || (!contact_sigma_nm.empty() && contact_sigma_nm.size() != n))
-              throw Error("tau_ext, sigma_nm and contact_sigma_nm must hold " + std::to_string(n) + " values");
-            std::vector<double> out(n * n);
-            self.covariance(force_alone ? WrenchKind::force : WrenchKind::wrench, tau_ext, sigma_nm, contact_sigma_nm, out);
-            return to_numpy(std::move(out), {n, n});
-          },
+          "covariance", &covariance_of_joints,
           nb::arg("force_alone"), nb::arg("tau_ext"), nb::arg("sigma_nm"),
           nb::arg("contact_sigma_nm") = std::vector<double>(),
           "Covariance S of tau_ext at a sample, (joints, joints). contact_sigma_nm: of the estimate; empty: free motion.")

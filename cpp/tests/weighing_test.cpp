@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "check.hpp"
+#include "load/recorded_load.hpp"
 #include "made_bundle.hpp"
 #include "stages/estimates.hpp"
 #include "tauext/monitor.hpp"
@@ -143,44 +144,25 @@ void finds_mass_and_centre() {
   CHECK(monitor.estimate_load().seconds == 0);
 }
 
-// Rows, sums and solver of a whole recording, as they are made where there is no loop.
-LoadFound of_recording(const Bundle& b, const Motion& m, int rounds) {
-  const Estimates said = estimate(b, m.view(), 1);
-  std::vector<std::int64_t> rows;
-  for (std::int64_t k = 0; k < m.samples(); k += b.observer.network_stride)
-    if (said.health[static_cast<std::size_t>(k)] == static_cast<std::uint8_t>(Health::ok)) rows.push_back(k);
-  WeighSettings settings = Weighing(b).settings();
-  LoadFound found;
-  for (int round = 0; round < rounds; ++round) {
-    const LoadRows told = load_rows(b, {b.load.link, b.load.rotation, b.load.translation}, found.phi, m.view(), rows);
-    LoadSums sums(kJoints);
-    std::vector<double> stood(kN, 0.0);
-    std::size_t next = 0;
-    for (std::size_t k = 0; k < m.t_ns.size(); ++k) {
-      for (std::size_t j = 0; j < kN; ++j)
-        stood[j] = said.near_stiction[k * kN + j] ? stood[j] + (k > 0 ? 1e-9 * static_cast<double>(m.t_ns[k] - m.t_ns[k - 1]) : 0) : 0;
-      if (next == rows.size() || rows[next] != static_cast<std::int64_t>(k)) continue;
-      std::vector<LoadSums::Row> row(kN);
-      std::vector<double> sigma, worth;
-      for (std::size_t j = 0; j < kN; ++j) {
-        const std::size_t at = next * kN + j;
-        for (std::size_t c = 0; c < 10; ++c) row[j][c] = told.load[10 * at + c];
-        row[j][LoadSums::kOffset] = 1;
-        row[j][LoadSums::kCoulomb] = told.coulomb[at];
-        for (std::size_t c = 0; c < 3; ++c) {
-          row[j][LoadSums::kBase + c] = told.base_forces[3 * at + c];
-          row[j][LoadSums::kFrame + c] = told.frame_forces[3 * at + c];
-        }
-        row[j][LoadSums::kGear] = told.offset[at];
-        row[j][LoadSums::kTauExt] = said.tau_ext[k * kN + j] + said.drift[k * kN + j];
-        sigma.push_back(0.2 * said.limit_nm[k * kN + j]);
-        worth.push_back(std::pow(1 + stood[j] / 0.5, -2));
-      }
-      sums.add(row, sigma, worth);
-      ++next;
+// The load of a whole recording, as it is weighed where there is no loop; repeated until the gears' loaded side settles.
+LoadFound of_recording(const Bundle& b, const Motion& m) {
+  const Estimates estimates = estimate(b, m.view(), 1);
+  const std::vector<double> worth_of_all = worth_of_samples(m.t_ns, estimates.near_stiction);
+  std::vector<std::int64_t> samples;
+  std::vector<double> tau_ext, sigma, worth;
+  for (std::int64_t k = 0; k < m.samples(); k += b.observer.network_stride) {
+    if (estimates.health[static_cast<std::size_t>(k)] != static_cast<std::uint8_t>(Health::ok)) continue;
+    samples.push_back(k);
+    for (std::size_t at = static_cast<std::size_t>(k) * kN, j = 0; j < kN; ++j, ++at) {
+      tau_ext.push_back(estimates.tau_ext[at] + estimates.drift[at]);
+      sigma.push_back(kSigmaOfLimit * estimates.limit_nm[at]);
+      worth.push_back(worth_of_all[at]);
     }
-    found = weigh(sums, settings, {}, found.phi, 1);
   }
+  const WeighedMotion motion{m.view(), samples, tau_ext, sigma, worth};
+  LoadFound found;
+  for (int pass = 0; pass < 3; ++pass)
+    found = weigh(b, {b.load.link, b.load.rotation, b.load.translation}, {&motion, 1}, kUsualReach_m, found.phi, {});
   return found;
 }
 
@@ -190,7 +172,7 @@ void loop_and_recording_find_the_same_load() {
     const Load truth = ball(2.2, {-0.04, 0.02, 0.06});
     const Motion m = motion(b, truth, 4000, 1.3);
     Monitor monitor(b);
-    const LoadFound found = weighed(monitor, m), whole = of_recording(b, m, 8);
+    const LoadFound found = weighed(monitor, m), whole = of_recording(b, m);
     CHECK(found.seconds == whole.seconds);
     // Where the side that gears are loaded on depends on the load, the first tenth of a second does not know it: 0.25 g
     // of 2.2 kg.
@@ -433,9 +415,23 @@ void sums_are_those_of_their_rows() {
     const std::size_t at = std::min<std::size_t>(b, 3) * LoadSums::kColumns + std::max<std::size_t>(b, 3);
     product += sums.joint(0).whole[at] * theta[b];
   }
-  CHECK_CLOSE(sums.product(0, 3, theta), product, 1e-12 * std::fabs(product));
+  CHECK_CLOSE(LoadSums::product(sums.joint(0).whole, 3, theta), product, 1e-12 * std::fabs(product));
   sums.clear();
   CHECK(sums.rows() == 0 && sums.square(0, theta) == 0);
+}
+
+void a_stand_is_worth_half_a_second_however_long() {
+  std::vector<std::int64_t> t_ns;
+  for (std::int64_t k = 0; k < 100'000; ++k) t_ns.push_back(k * kMs);
+  std::vector<std::uint8_t> near;
+  for (std::size_t k = 0; k < t_ns.size(); ++k) near.insert(near.end(), {1, 0});  // one joint stands, the other slides
+  const std::vector<double> worth = worth_of_samples(t_ns, near);
+  double seconds = 0;
+  for (std::size_t k = 0; k < t_ns.size(); ++k) {
+    seconds += 1e-3 * worth[2 * k];
+    CHECK(worth[2 * k + 1] == 1);
+  }
+  CHECK_CLOSE(seconds, 0.5, 0.01);
 }
 
 void axes_of_a_symmetric_matrix() {
@@ -466,6 +462,7 @@ int main() {
   states_end_it();
   what_cannot_be_weighed_is_refused();
   sums_are_those_of_their_rows();
+  a_stand_is_worth_half_a_second_however_long();
   axes_of_a_symmetric_matrix();
   return check::result();
 }

@@ -41,9 +41,7 @@ _WHERE = {
     "bundle.bundle_file": "load_bundle",
     "bundle.estimates": "Estimates",
     "bundle.match": "expect_fit",
-    "config": (
-        "AlarmConfig DriftConfig EventsConfig FilterConfig FreeMotionConfig ObserverConfig PriorConfig TrainConfig"
-    ),
+    "config": "AlarmConfig DriftConfig FilterConfig FreeMotionConfig ObserverConfig PriorConfig TrainConfig",
     "data.dataset": "Dataset load_dataset",
     "data.recording": "Recording",
     "data.recording_file": "load_recording save_recording",

@@ -26,7 +26,6 @@ from tauext.bundle.estimates import Estimates as Estimates
 from tauext.bundle.match import expect_fit as expect_fit
 from tauext.config import AlarmConfig as AlarmConfig
 from tauext.config import DriftConfig as DriftConfig
-from tauext.config import EventsConfig as EventsConfig
 from tauext.config import FilterConfig as FilterConfig
 from tauext.config import FreeMotionConfig as FreeMotionConfig
 from tauext.config import ObserverConfig as ObserverConfig

@@ -6,14 +6,13 @@ import functools
 import inspect
 import math
 import numbers
-import os
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from types import NoneType, UnionType
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from tauext.errors import ConfigError
-from tauext.recipes import RECIPES, Recipe, recipe_of
+from tauext.recipes import Recipe, recipe_of, summaries
 
 Backend = Literal["core", "torch"]
 LimitsKind = Literal["auto", "promised", "supported", "paper"]
@@ -54,12 +53,11 @@ PAPER_CASES = {
     )
 }
 
-# Choices from the tables, as the help lists them. Type checkers need literal choices and accept any name here.
+# Choices from the table, as the help lists them. Type checkers need literal choices and accept any name here.
 if TYPE_CHECKING:
     CaseName = str
-    RecipeName = str
 else:
-    CaseName, RecipeName = Literal[tuple(PAPER_CASES)], Literal[tuple(RECIPES)]
+    CaseName = Literal[tuple(PAPER_CASES)]
 
 
 @dataclass(frozen=True)
@@ -268,27 +266,10 @@ class FilterConfig:
 
 
 @dataclass(frozen=True)
-class EventsConfig:
-    """Comparison of alarms with labels that may be imprecise."""
-
-    shortest_event_s: float = 0.0
-    """Shortest labelled event that counts, [s]; shorter ones are neither an event nor free motion."""
-    tolerance_s: float = 0.1
-    """Time before and after an event's label in which an alarm counts for the event, [s]."""
-
-    def __post_init__(self) -> None:
-        expect_types(vars(self), type(self))
-        for name in ("shortest_event_s", "tolerance_s"):
-            require(0 <= getattr(self, name) <= 60, name, getattr(self, name), "0 to 60")
-
-
-@dataclass(frozen=True)
 class TrainConfig:
     """Settings of a training. None: the recipe's own value."""
 
-    recipe: RecipeName = field(
-        default="prior", metadata={"choices": {name: recipe.summary for name, recipe in RECIPES.items()}}
-    )
+    recipe: str = field(default="prior", metadata={"choices": summaries})
     """Method to train."""
     minutes: float | None = None
     """Minutes of the training recordings to train on, the first ones, with a fifth as many (at least one) of the
@@ -311,8 +292,8 @@ class TrainConfig:
     """Share by which the network must lower a joint's RMSE on validation recordings to be used for it (recipe
     tauext)."""
     backend: Backend = "core"
-    """Library that computes the gradient. core: C++. torch: PyTorch, on a GPU where there is one (`pip install
-    torch`)."""
+    """Library that computes the gradient. core: C++. torch: PyTorch, on a GPU where there is one (package
+    tauext-lab, `pip install torch`)."""
     seed: int = 0
     """Seed of the initial weights and of the order of the windows."""
     threads: int = 0
@@ -352,9 +333,8 @@ class TrainConfig:
     """Rates of the filters of recipes highpass and bandpass."""
 
     def __post_init__(self) -> None:
-        require(isinstance(self.recipe, str), "recipe", brief(self.recipe), f"one of {', '.join(RECIPES)}")
-        recipe_of(self.recipe)  # a package may have added it: the annotation lacks it
-        expect_types({name: value for name, value in vars(self).items() if name != "recipe"}, type(self))
+        expect_types(vars(self), type(self))
+        recipe_of(self.recipe)
         require(self.minutes is None or 0 < self.minutes < math.inf, "minutes", self.minutes, "> 0")
         for name in ("hidden", "epochs", "max_steps", "batch", "targets"):
             value = getattr(self, name)
@@ -517,31 +497,3 @@ def require_seed(seed: int) -> None:
 def require_threads(threads: int) -> None:
     """Raise ConfigError unless the number of threads is valid; 0: one a core."""
     require(0 <= threads <= MOST_THREADS, "threads", threads, f"0 (one a core) to {MOST_THREADS}")
-
-
-@dataclass(frozen=True)
-class StoreConfig:
-    """Timeouts and retries of object stores."""
-
-    connect_s: float = 5.0
-    """Time to establish a connection, [s]."""
-    stall_s: float = 20.0
-    """Time without data after which a request is retried, [s]. Even a slow line sends something every second."""
-    tries: int = 4
-    """Number of attempts of a request, with growing pauses, before the command fails."""
-
-    @classmethod
-    def of_environment(cls) -> StoreConfig:
-        """TAUEXT_STORE_STALL_S and TAUEXT_STORE_TRIES, where they are set.
-
-        Raises:
-            ConfigError: one of them is no number, or out of range.
-        """
-        try:
-            stall_s = float(os.environ.get("TAUEXT_STORE_STALL_S") or cls.stall_s)
-            tries = int(os.environ.get("TAUEXT_STORE_TRIES") or cls.tries)
-        except ValueError as error:
-            raise ConfigError(f"TAUEXT_STORE_STALL_S and TAUEXT_STORE_TRIES must be numbers ({error})") from error
-        require(1 <= stall_s <= 3600, "TAUEXT_STORE_STALL_S", stall_s, "1 to 3600")
-        require(1 <= tries <= 100, "TAUEXT_STORE_TRIES", tries, "1 to 100")
-        return cls(min(cls.connect_s, stall_s), stall_s, tries)

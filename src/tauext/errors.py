@@ -40,10 +40,6 @@ class TooLittleMotionError(TrainingError):
     """Recordings contain too little motion that can be trusted."""
 
 
-class StoreError(TauextError):
-    """An object store that cannot be reached, refuses, stalls, or whose file changed while it was read."""
-
-
 class FaultyDataError(TauextError):
     """Faults of recordings or robot file that were not accepted; the message lists them, a few lines each."""
 

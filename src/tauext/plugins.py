@@ -1,11 +1,13 @@
 """What is installed beside tauext: plug-ins, found by their entry points, and libraries that one part needs.
 
-A package adds a robot or a command in its pyproject.toml:
+A package adds a robot, a command or a recipe in its pyproject.toml:
 
     [project.entry-points."tauext.sources"]
     myarm = "my_package:KIND"        # a tauext.sources.open.SourceKind
     [project.entry-points."tauext.commands"]
     mycommand = "my_package:COMMAND"  # a tauext.cli.commands.Command
+    [project.entry-points."tauext.recipes"]
+    myrecipe = "my_package:RECIPE"   # a tauext.recipes.Recipe of this name
 
 Parts of tauext's own commands that need a library for drawing, or that few users need, are entry points of the group
 tauext.parts: functions by name.
@@ -18,21 +20,24 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Collection, Mapping
 from importlib.metadata import EntryPoint, entry_points
+from types import FunctionType
 from typing import Any, TypeVar
 
 from tauext.errors import ConfigError
 
 Added = TypeVar("Added")
-SOURCES, COMMANDS, PARTS = "tauext.sources", "tauext.commands", "tauext.parts"
+SOURCES, COMMANDS, RECIPES, PARTS = "tauext.sources", "tauext.commands", "tauext.recipes", "tauext.parts"
 """Groups of entry points."""
-OF_LAB = ("sim", "simulate", "evaluate", "report", "reproduce", "joint-picture", "check-pictures", "force")
+OF_FLEET = ("fleet", "like", "prior-content")
+OF_LAB = ("sim", "simulate", "evaluate", "report", "reproduce", "joint-picture", "check-pictures", "force", "network")
 OF_LEROBOT = ("feetech", "dynamixel", "damiao", "label", "guard")
 FOLDERS = (
-    {"commission": "commission", "fleet": "fleet", "ros2": "ros2"}
-    | dict.fromkeys(OF_LAB, "lab")
+    {"commission": "lab commission", "ros2": "ros2"}
+    | dict.fromkeys(OF_FLEET, "lab fleet")
+    | dict.fromkeys((*OF_LAB, "torch"), "lab")
     | dict.fromkeys(OF_LEROBOT, "lerobot")
 )
-"""Folders of packages/, by the command, source or part that their packages add. No registry has these packages yet:
+"""Folders of packages/ to install, by the name that the last one adds. No registry has these yet:
 their names there may be those of strangers."""
 MARKS = {"commission.json": "commission"}
 """Commands of packages by the files that mark the folders they make."""
@@ -68,14 +73,15 @@ def part(name: str) -> Callable[..., Any]:
     entry = installed(PARTS).get(name)
     if entry is None:
         raise ConfigError(how_to_add(name) or f"no package adds '{name}'")
-    return load(entry, Callable)  # type: ignore[type-abstract]
+    return load(entry, FunctionType)
 
 
 def how_to_add(name: str) -> str | None:
-    """Which package adds this command, source or part; None: it is there, or no package of this repository adds it."""
-    there = installed(SOURCES) | installed(COMMANDS) | installed(PARTS)
-    folder = None if name in there else FOLDERS.get(name)
-    return folder and f"'{name}' is a plug-in: pip install ./packages/{folder} in the source folder of tauext"
+    """Which package adds this name of any group; None: it is there, or no package of this repository adds it."""
+    there = {one for group in (SOURCES, COMMANDS, RECIPES, PARTS) for one in installed(group)}
+    folders = "" if name in there else FOLDERS.get(name, "")
+    named = " ".join(f"./packages/{folder}" for folder in folders.split())
+    return f"'{name}' is a plug-in: pip install {named} in the source folder of tauext" if named else None
 
 
 def optional_library(module: str, who: str, package: str) -> Any:
@@ -99,11 +105,13 @@ def load(entry: EntryPoint, kind: type[Added]) -> Added:
     """The object of this entry point.
 
     Raises:
-        ConfigError: its package cannot be imported, holds no such object, or one of another type.
+        ConfigError: its package cannot be imported or needs a library, holds no such object, or one of another type.
     """
     of = f"plug-in {entry.name} ({entry.dist.name if entry.dist else 'unknown package'}, {entry.value})"
     try:
         loaded = entry.load()
+    except ConfigError:  # a library that the package needs is not installed
+        raise
     except Exception as error:  # a package of others may raise anything
         raise ConfigError(f"{of}: cannot be loaded: {type(error).__name__}: {error}") from None
     if not isinstance(loaded, kind):

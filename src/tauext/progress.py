@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -15,6 +15,15 @@ Show = Callable[[int, int, str], None]
 def in_plain_letters(text: str) -> str:
     """A text without characters that would act on a terminal: names of files and joints may hold them."""
     return "".join(one if one.isprintable() or one in "\n\t" else ascii(one)[1:-1] for one in text)
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """A line a row; the first column is aligned on its left, all others on their right."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return [
+        "  ".join([row[0].ljust(widths[0]), *(one.rjust(w) for one, w in zip(row[1:], widths[1:], strict=True))])
+        for row in rows
+    ]
 
 
 class Reporter(Protocol):

@@ -1,6 +1,7 @@
 """The recipes of `train`: one row each. A new baseline is one row here and, where it is fitted, one function.
 
-A fit function takes and returns what the protocol `tauext.train.fitting.Fit` states.
+A fit function takes and returns what the protocol `tauext.train.fitting.Fit` states. A package adds rows as entry
+points of the group tauext.recipes (`plugins.py`), each with the name of its row.
 
 Standard library only, since the settings and with them the command line's help are made from this table.
 """
@@ -11,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from tauext import plugins
 from tauext.errors import ConfigError
 
 Network = Literal["windows", "sequences"]
@@ -185,20 +187,37 @@ RECIPES = {
         Recipe("observer", "the plain momentum observer, nothing learned", baseline="observer"),
     )
 }
-"""Recipes by name, in the order of the help; the baselines are in the reverse one, simplest first."""
+"""Recipes of tauext by name, in the order of the help; the baselines are in the reverse one, simplest first."""
 
 
 def recipe_of(name: str) -> Recipe:
-    """The row of this name.
+    """The row of this name, of tauext or of a plug-in.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: there is none, or its plug-in cannot be loaded.
     """
-    if name not in RECIPES:
-        raise ConfigError(f"recipe = {name} must be one of {', '.join(RECIPES)}")
-    return RECIPES[name]
+    row = plugins.named(name, RECIPES, plugins.RECIPES, Recipe)
+    if row is None:
+        raise ConfigError(plugins.how_to_add(name) or f"recipe = {name} must be one of {', '.join(recipes())}")
+    return row
+
+
+def recipes() -> dict[str, Recipe]:
+    """All rows by name, plug-ins last; the summary of a plug-in that cannot be loaded is the reason."""
+    rows = dict(RECIPES)
+    for name, entry in plugins.installed(plugins.RECIPES, RECIPES).items():
+        try:
+            rows[name] = plugins.load(entry, Recipe)
+        except ConfigError as error:
+            rows[name] = Recipe(name, str(error))
+    return rows
+
+
+def summaries() -> dict[str, str]:
+    """What each recipe is, by name."""
+    return {name: row.summary for name, row in recipes().items()}
 
 
 def baselines() -> dict[str, str]:
     """Recipes by the name of their baseline, simplest first: the last row comes first."""
-    return {recipe.baseline: recipe.name for recipe in reversed(RECIPES.values()) if recipe.baseline is not None}
+    return {row.baseline: name for name, row in reversed(recipes().items()) if row.baseline is not None}

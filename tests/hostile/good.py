@@ -15,14 +15,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from made_recordings import write_bag
 from scipy.io import savemat
+from tauext_fleet.fleet_prior import ArmType, FleetDays, FleetPrior, write_fleet_prior
+from tauext_fleet.map_regression import WeightPrior
 
 from tauext import _core
 from tauext.cli import main
 from tauext.data.dataset import Split, save_split
 from tauext.data.free_motion import first_seconds
 from tauext.data.recording_file import load_recording, save_recording
-from tauext.fit.fleet_prior import ArmType, FleetDays, FleetPrior, write_fleet_prior
-from tauext.fit.ridge import WeightPrior
 
 EVERY = 10
 """Of 1000 samples a second: files in other formats stay small."""
@@ -55,7 +55,7 @@ FLEET = """stages = ["train"]
 recipe = "observer"
 max_steps = 5
 [types.rig]
-accept = ["payload-missing"]
+accept = ["payload"]
 [[arms]]
 name = "one"
 type = "rig"

@@ -11,6 +11,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from tauext.files.toml_file import hints_of
+
 FLOATS = ("inf", "-inf", "nan", "-1", "0", "-0.0", "1e-308", "1e308", "1e9", "1e18", "-1e9", "0.5", "1e400")
 INTEGERS = ("-1", "0", "1", "1000000000", "2147483648", "9223372036854775808", str(10**30), "1e9", "1.5", "nan", "-5")
 WORDS = ("", " ", "x", "-", "--", "none", "None", "True", "\n", "ä\udcff", "a" * 5000, "../..", "{}", "[]", "%s", "0x1")
@@ -52,7 +54,7 @@ def _options(hints: dict[str, Any], group: str) -> Iterator[tuple[str, Any]]:
 
 def keys_of(settings: type) -> list[tuple[str, Any]]:
     """Keys of a file of settings, with their types: alarm.in_hours."""
-    return [(name.replace("-", "_"), kind) for name, kind in _options(typing.get_type_hints(settings), "")]
+    return [(name.replace("-", "_"), kind) for name, kind in _options(hints_of(settings), "")]
 
 
 def plain(kind: Any) -> Any:

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from tauext_lab.evaluate.config import EventsConfig
 from tauext_lab.evaluate.events import EventMeasures, Labels, event_time
 
-from tauext.config import PAPER_CASES, EventsConfig, ObserverConfig, PriorConfig, TrainConfig
+from tauext.config import PAPER_CASES, ObserverConfig, PriorConfig, TrainConfig
 from tauext.data.dataset import load_dataset
 from tauext.data.recording import Recording
 from tauext.monitor.estimate import estimate_recording
@@ -20,33 +21,33 @@ from tauext.train.preparation import Given
 from tauext.train.stage import train_bundle
 
 VELOCITY = ("velocity-unit", "velocity-mismatch", "velocity-sign", "velocity-delay")
-EFFORT = ("effort-scale", "effort-motor-side", "effort-limit", "effort-gravity-compensated", "effort-external")
-LOAD = ("payload-missing", "payload-absent", "effort-scale")
+EFFORT = ("effort-scale", "effort-motor-side", "beyond-limit", "effort-compensated")
+LOAD = ("payload", "effort-scale")
 ONE_OF_MANY = ("odd-recording",)
 
 FITTING: dict[tuple[str, str], tuple[str, ...]] = {
-    ("factor", "q"): ("degrees", "position-limit", "joint-axis", "velocity-sign", "velocity-unit", "velocity-mismatch"),
-    ("factor", "q-dq"): ("degrees", "position-limit", "joint-axis"),
+    ("factor", "q"): ("degrees", "beyond-limit", "joint-axis", "velocity-sign", "velocity-unit", "velocity-mismatch"),
+    ("factor", "q-dq"): ("degrees", "beyond-limit", "joint-axis"),
     ("factor", "dq"): ("degrees", *VELOCITY),
     ("factor", "tau"): ("effort-sign", *EFFORT),
     ("amperes", "tau"): EFFORT,
-    ("exchange", "q-dq-tau"): ("joint-order", "joint-axis", "position-limit"),
+    ("exchange", "q-dq-tau"): ("joint-order", "joint-axis", "beyond-limit"),
     ("exchange", "q"): ("joint-order", *VELOCITY),
     ("exchange", "dq"): ("joint-order", *VELOCITY),
     ("exchange", "tau"): ("joint-order",),
-    ("spike", "q"): ("spike", "position-limit", "velocity-mismatch"),
+    ("spike", "q"): ("spike", "beyond-limit", "velocity-mismatch"),
     ("spike", "dq"): ("spike", "velocity-mismatch"),
-    ("spike", "tau"): ("spike", "effort-limit", "contact-in-free-motion"),
+    ("spike", "tau"): ("spike", "beyond-limit", "contact-in-free-motion"),
     ("stuck", "q"): ("stuck", "velocity-mismatch"),
     ("stuck", "dq"): ("stuck", "velocity-mismatch"),
     ("stuck", "tau"): ("stuck", "contact-in-free-motion"),
     ("delay", "tau"): ("torque-delay",),
     ("delay", "dq"): ("velocity-delay", "velocity-mismatch"),
     ("time-unit", ""): ("time-unit", "velocity-unit", "velocity-mismatch", "clock-irregular", "clock-gaps"),
-    ("zero", "q"): ("position-offset", "position-limit"),
+    ("zero", "q"): ("position-offset", "beyond-limit"),
     ("thinned", ""): ("clock-irregular", "clock-gaps"),
     ("load", "tau"): LOAD,
-    ("donor", ""): (*LOAD, "effort-limit", "position-limit", "position-offset"),
+    ("donor", ""): (*LOAD, "beyond-limit", "position-offset"),
     ("label", ""): ("contact-in-free-motion",),
 }
 """By what is done and to which signals; "": whichever. One that tells an odd recording fits every mutation of some."""
@@ -105,7 +106,7 @@ def looked_at(folder: Path) -> list[Seen]:
     case, _ = chosen_case(None, robot)
     recordings = dataset.training(), dataset.recordings("validation")
     results = check_results(dataset, Given(robot, PAPER_CASES[case], *recordings), CONFIG, SILENT)
-    findings = [finding for result in results.values() for finding in result.findings]
+    findings = [finding for result in results.values() for finding in result]
     return [Seen(f.code, f.joint, f.severity, f.evidence, f.recording) for f in findings]
 
 

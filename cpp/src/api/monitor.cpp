@@ -79,6 +79,7 @@ struct Monitor::Chain {
   std::optional<Weighing> weighing;      // if supported
   WrenchModel wrench;
   DeclaredContacts contacts;
+  bool pending = true;  // advance() has not followed the last sample yet
 
   Chain(const Bundle& bundle, NetworkRate rate);
 
@@ -95,6 +96,7 @@ struct Monitor::Chain {
     return left;
   }
   void predict(const Observed& observed) noexcept;
+  void finish() noexcept;
   void follow_expected() noexcept;
   void put_load(const Load& load, std::int64_t since_ns) noexcept;
   void end_weighing() noexcept;
@@ -248,6 +250,7 @@ const Estimate& Monitor::estimate(const Sample& sample) noexcept {
   const bool learns = observed.passage == Passage::entered && !chain_->contacts.in_effect();
   if (learns) chain_->refit_motion.push(sample);  // the refit's chain restarts after the gap that a contact leaves
   if (weighing()) chain_->weighing->take(sample, observed, answer);
+  chain_->pending = true;
   return answer;
 }
 
@@ -259,12 +262,18 @@ void Monitor::Chain::predict(const Observed& observed) noexcept {
 }
 
 void Monitor::advance() noexcept {
-  chain_->observe.keep();
-  chain_->judge.advance(chain_->observe.q(), chain_->observe.dq());
-  if (chain_->observe.progress().started) chain_->judge.keep(chain_->observe.progress().t_ns);
-  if (chain_->network) chain_->network->advance();
-  if (weighing()) chain_->weighing->advance(chain_->observe.beta());
+  if (chain_->pending) chain_->finish();
   if (chain_->expected && chain_->expected->on()) chain_->follow_expected();
+}
+
+// Does for the last sample what its answer did not need.
+void Monitor::Chain::finish() noexcept {
+  pending = false;
+  observe.keep();
+  judge.advance(observe.q(), observe.dq());
+  if (observe.progress().started) judge.keep(observe.progress().t_ns);
+  if (network) network->advance();
+  if (weighs()) weighing->advance(observe.beta());
 }
 
 // Applies what the last sample decided about an expected load.
@@ -413,6 +422,7 @@ bool Monitor::restore_state(std::span<const std::byte> state) noexcept {
   if (chain_->network) chain_->network->restore(left);
   finish_refit();
   chain_->end_weighing();
+  chain_->pending = true;
   return true;
 }
 

@@ -5,9 +5,6 @@
 #include <cstring>
 #include <type_traits>
 
-#include "chain/motion.hpp"
-#include "tauext/bundle.hpp"
-
 namespace tauext {
 namespace {
 
@@ -111,39 +108,6 @@ LoadSums::Row LoadColumns::row(int joint, double tau_ext) const noexcept {
   row[LoadSums::kGear] = shown_.offset[j];
   row[LoadSums::kTauExt] = tau_ext;
   return row;
-}
-
-LoadRows load_rows(const Bundle& bundle, const LoadFrame& frame, std::span<const double> phi,
-                   const RecordingView& recording, std::span<const std::int64_t> samples) {
-  if (recording.joints != bundle.joints())
-    throw Error("the bundle has " + std::to_string(bundle.joints()) + " joints, the recording " +
-                std::to_string(recording.joints));
-  if (phi.size() != kLoads) throw Error("a load has 10 parameters, not " + std::to_string(phi.size()));
-  const Tree tree(bundle.links, bundle.gravity);
-  MotionStage motion(tree, bundle.observer.sample_period_ns, bundle.observer.network_stride, {});
-  LoadColumns columns(tree, bundle.prior, frame, bundle.observer.gain_per_s);
-  const auto n = static_cast<std::size_t>(bundle.joints());
-  LoadRows out;
-  std::size_t next = 0;
-  for (std::int64_t k = 0; k < recording.samples && next < samples.size(); ++k) {
-    const Sample sample = recording.at(k);
-    const SampleClock::Tick tick = motion.step(sample.t_ns, sample.q, sample.dq);
-    if (tick.kind == SampleClock::Kind::restart) columns.reset();
-    if (tick.kind != SampleClock::Kind::not_later)
-      columns.step(sample.t_ns, sample.q, sample.dq, motion.beta(), phi);
-    if (samples[next] != k) continue;
-    ++next;
-    const LoadColumns::Shown& s = columns.shown();
-    for (std::size_t j = 0; j < n; ++j) {
-      for (const JointVector& column : s.load) out.load.push_back(column[j]);
-      for (const JointVector& column : s.frame_forces) out.frame_forces.push_back(column[j]);
-      for (const JointVector& column : s.base_forces) out.base_forces.push_back(column[j]);
-      out.offset.push_back(s.offset[j]);
-      out.coulomb.push_back(s.coulomb[j]);
-    }
-  }
-  if (next != samples.size()) throw Error("samples must be ascending and within the recording");
-  return out;
 }
 
 }  // namespace tauext

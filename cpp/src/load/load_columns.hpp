@@ -19,8 +19,6 @@
 
 namespace tauext {
 
-struct Bundle;
-
 // All columns are passed through the observer's filter, in phase with tau_ext:
 //   load       -(dP_k/dt + B_k) - s tanh(dq / v) sign(beta + B phi) B_k      for a unit of phi_k
 //   offset     part of the load's friction that is constant in phi: -s tanh(dq / v) (sign(beta + B phi) beta - |beta|)
@@ -77,16 +75,5 @@ class LoadColumns {
   Shown shown_;
   bool settled_ = false;  // filters are in steady state
 };
-
-// The columns at `samples` of a recording, which rise; row-major.
-struct LoadRows {
-  std::vector<double> load;                       // (rows, joints, parameters)
-  std::vector<double> frame_forces, base_forces;  // (rows, joints, 3)
-  std::vector<double> offset, coulomb;            // (rows, joints)
-};
-
-// Throws Error if something does not fit, or `samples` do not rise.
-LoadRows load_rows(const Bundle& bundle, const LoadFrame& frame, std::span<const double> phi,
-                   const RecordingView& recording, std::span<const std::int64_t> samples);
 
 }  // namespace tauext

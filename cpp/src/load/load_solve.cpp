@@ -62,8 +62,7 @@ void LoadSums::end_block() noexcept {
   }
 }
 
-double LoadSums::product(int joint, std::size_t a, const Row& theta) const noexcept {
-  const Square& upper = joints_[static_cast<std::size_t>(joint)].whole;
+double LoadSums::product(const Square& upper, std::size_t a, const Row& theta) noexcept {
   double sum = 0;
   for (std::size_t b = 0; b < a; ++b) sum += upper[b * kSize + a] * theta[b];
   for (std::size_t b = a; b < kSize; ++b) sum += upper[a * kSize + b] * theta[b];
@@ -101,15 +100,6 @@ Shared shared_by(LoadCause cause) noexcept {
   return {0, 0};
 }
 
-// Sum of columns to be explained.
-LoadSums::Row target(const LoadParameters& phi) noexcept {
-  LoadSums::Row theta{};
-  theta[LoadSums::kTauExt] = 1;
-  theta[LoadSums::kGear] = -1;
-  for (std::size_t k = 4; k < phi.size(); ++k) theta[LoadSums::kLoad + k] = -phi[k];
-  return theta;
-}
-
 // The fit's residual of a joint, as a sum of columns.
 LoadSums::Row left(const LoadSums::Row& whole, const Shared& shared, const LoadFit& fit, std::size_t joint) noexcept {
   LoadSums::Row theta = whole;
@@ -119,48 +109,9 @@ LoadSums::Row left(const LoadSums::Row& whole, const Shared& shared, const LoadF
   return theta;
 }
 
-// A joint's own two unknowns as a function of the shared ones.
-struct Own {
-  std::array<std::array<double, kMost>, 2> per_shared;
-  std::array<double, 2> constant;
-};
-
 double information_of(double standard_deviation) noexcept {
   const double least = std::max(standard_deviation, 1e-9);
   return 1 / (least * least);
-}
-
-// information += A - C D^-1 C^T, moment += b - C D^-1 d, with D of the joint's own two unknowns.
-Own eliminate(const LoadSums& sums, int joint, const Shared& shared, const LoadSums::Row& whole, double weight,
-              const LoadBefore& before, std::array<double, kMost * kMost>& information,
-              std::array<double, kMost>& moment) noexcept {
-  const auto j = static_cast<std::size_t>(joint);
-  const LoadSums::Square& gram = sums.joint(joint).whole;
-  const auto at = [&](std::size_t a, std::size_t b) noexcept {
-    return weight * gram[std::min(a, b) * LoadSums::kColumns + std::max(a, b)];
-  };
-  constexpr std::size_t own[] = {LoadSums::kOffset, LoadSums::kCoulomb};
-  const double d00 = at(own[0], own[0]) + information_of(before.offset_nm[j]);
-  const double d11 = at(own[1], own[1]) + information_of(before.coulomb_nm[j]);
-  const double d01 = at(own[0], own[1]), determinant = d00 * d11 - d01 * d01;
-  const auto solved = [&](double x, double y) noexcept {
-    return std::array{(d11 * x - d01 * y) / determinant, (d00 * y - d01 * x) / determinant};
-  };
-  Own out;
-  out.constant = solved(weight * sums.product(joint, own[0], whole), weight * sums.product(joint, own[1], whole));
-  for (std::size_t k = 0; k < shared.size; ++k) {
-    const auto gain = solved(at(shared.first + k, own[0]), at(shared.first + k, own[1]));
-    out.per_shared[0][k] = gain[0];
-    out.per_shared[1][k] = gain[1];
-  }
-  for (std::size_t k = 0; k < shared.size; ++k) {
-    const std::size_t a = shared.first + k;
-    moment[k] += weight * sums.product(joint, a, whole) - at(a, own[0]) * out.constant[0] - at(a, own[1]) * out.constant[1];
-    for (std::size_t l = 0; l < shared.size; ++l)
-      information[k * shared.size + l] += at(a, shared.first + l) - at(a, own[0]) * out.per_shared[0][l] -
-                                          at(a, own[1]) * out.per_shared[1][l];
-  }
-  return out;
 }
 
 // Pseudo-inverse of a symmetric matrix (size, size): unobserved directions stay at 0.
@@ -207,56 +158,103 @@ LoadNoise LoadNoise::unknown() noexcept {
   return noise;
 }
 
+std::array<double, 2> OwnUnknowns::at(std::span<const double> shared) const noexcept {
+  std::array<double, 2> own = constant;
+  for (std::size_t k = 0; k < shared.size(); ++k)
+    for (std::size_t i = 0; i < 2; ++i) own[i] -= per_shared[i][k] * shared[k];
+  return own;
+}
+
+OwnUnknowns eliminate(const LoadSums::Square& gram, std::size_t first, std::size_t size, const LoadSums::Row& target,
+                      double weight, const std::array<double, 2>& sizes, LoadEquations& to) noexcept {
+  const auto at = [&](std::size_t a, std::size_t b) noexcept {
+    return weight * gram[std::min(a, b) * LoadSums::kColumns + std::max(a, b)];
+  };
+  constexpr std::size_t own[] = {LoadSums::kOffset, LoadSums::kCoulomb};
+  const double d00 = at(own[0], own[0]) + information_of(sizes[0]);
+  const double d11 = at(own[1], own[1]) + information_of(sizes[1]);
+  const double d01 = at(own[0], own[1]), determinant = d00 * d11 - d01 * d01;
+  const auto solved = [&](double x, double y) noexcept {
+    return std::array{(d11 * x - d01 * y) / determinant, (d00 * y - d01 * x) / determinant};
+  };
+  const auto product = [&](std::size_t a) noexcept { return weight * LoadSums::product(gram, a, target); };
+  OwnUnknowns out;
+  out.constant = solved(product(own[0]), product(own[1]));
+  for (std::size_t k = 0; k < size; ++k) {
+    const auto gain = solved(at(first + k, own[0]), at(first + k, own[1]));
+    out.per_shared[0][k] = gain[0];
+    out.per_shared[1][k] = gain[1];
+  }
+  for (std::size_t k = 0; k < size; ++k) {
+    const std::size_t a = first + k;
+    to.moment[k] += product(a) - at(a, own[0]) * out.constant[0] - at(a, own[1]) * out.constant[1];
+    for (std::size_t l = 0; l < size; ++l)
+      to.information[k * size + l] +=
+          at(a, first + l) - at(a, own[0]) * out.per_shared[0][l] - at(a, own[1]) * out.per_shared[1][l];
+  }
+  return out;
+}
+
+LoadSums::Row load_target(const LoadParameters& phi, double share) noexcept {
+  LoadSums::Row theta{};
+  theta[LoadSums::kTauExt] = 1;
+  theta[LoadSums::kGear] = -share;
+  for (std::size_t k = 4; k < phi.size(); ++k) theta[LoadSums::kLoad + k] = -share * phi[k];
+  return theta;
+}
+
 LoadFit solve_load(const LoadSums& sums, LoadCause cause, const LoadParameters& phi, const LoadBefore& before,
                    const LoadNoise& noise) noexcept {
   const Shared shared = shared_by(cause);
-  const LoadSums::Row whole = target(phi);
-  std::array<double, kMost * kMost> information{};
-  std::array<double, kMost> moment{};
-  std::array<Own, kMaxJoints> own;
-  if (cause == LoadCause::load) information[0] = information_of(kUnseenMassKg);
+  const LoadSums::Row target = load_target(phi);
+  LoadEquations equations;
+  std::array<OwnUnknowns, kMaxJoints> own;
+  if (cause == LoadCause::load) equations.information[0] = information_of(kUnseenMassKg);
   if (cause == LoadCause::load && before.moment_kg_m > 0)
-    for (std::size_t k = 1; k < 4; ++k) information[k * 4 + k] = information_of(before.moment_kg_m);
+    for (std::size_t k = 1; k < 4; ++k) equations.information[k * 4 + k] = information_of(before.moment_kg_m);
   for (int joint = 0; joint < sums.joints(); ++joint) {
     const auto j = static_cast<std::size_t>(joint);
     const double weight = 1 / (noise.scale[j] * noise.scale[j] * noise.correlation);
-    own[j] = eliminate(sums, joint, shared, whole, weight, before, information, moment);
+    own[j] = eliminate(sums.joint(joint).whole, shared.first, shared.size, target, weight,
+                       {before.offset_nm[j], before.coulomb_nm[j]}, equations);
   }
   LoadFit fit;
   fit.size = static_cast<int>(shared.size);
   fit.noise = noise;
-  fit.covariance = inverted(information, shared.size);
+  fit.covariance = inverted(equations.information, shared.size);
   for (std::size_t k = 0; k < shared.size; ++k)
-    for (std::size_t l = 0; l < shared.size; ++l) fit.values[k] += fit.covariance[k * shared.size + l] * moment[l];
+    for (std::size_t l = 0; l < shared.size; ++l)
+      fit.values[k] += fit.covariance[k * shared.size + l] * equations.moment[l];
   for (std::size_t j = 0; j < static_cast<std::size_t>(sums.joints()); ++j) {
-    fit.offset_nm[j] = own[j].constant[0];
-    fit.coulomb_nm[j] = own[j].constant[1];
-    for (std::size_t k = 0; k < shared.size; ++k) {
-      fit.offset_nm[j] -= own[j].per_shared[0][k] * fit.values[k];
-      fit.coulomb_nm[j] -= own[j].per_shared[1][k] * fit.values[k];
-    }
+    const auto found = own[j].at(std::span(fit.values).first(shared.size));
+    fit.offset_nm[j] = found[0];
+    fit.coulomb_nm[j] = found[1];
   }
-  report_left(sums, shared, whole, before, fit);
+  report_left(sums, shared, target, before, fit);
   return fit;
 }
 
-LoadNoise noise_left(const LoadSums& sums, LoadCause cause, const LoadParameters& phi, const LoadFit& fit) noexcept {
-  const Shared shared = shared_by(cause);
-  const LoadSums::Row whole = target(phi);
+LoadNoise noise_of(const LoadSums& sums, std::span<const LoadSums::Row> residuals) noexcept {
   LoadNoise noise = LoadNoise::unknown();
   double singles = 0, blocks = 0;
   for (int joint = 0; joint < sums.joints(); ++joint) {
     const auto j = static_cast<std::size_t>(joint);
-    const LoadSums::Row theta = left(whole, shared, fit, j);
-    const double single = std::max(sums.square(joint, theta), 0.0);
+    const double single = std::max(sums.square(joint, residuals[j]), 0.0);
     const double square = std::max(single / std::max(sums.joint(joint).worth, 1e-9), kLeastNoiseScale * kLeastNoiseScale);
     noise.scale[j] = std::sqrt(square);
     singles += single / square;
-    blocks += std::max(sums.block_square(joint, theta), 0.0) / square;
+    blocks += std::max(sums.block_square(joint, residuals[j]), 0.0) / square;
   }
   noise.correlation =
       std::clamp(blocks / std::max(singles, 1e-300), kLeastCorrelation, static_cast<double>(LoadSums::kBlockRows));
   return noise;
+}
+
+LoadNoise noise_left(const LoadSums& sums, LoadCause cause, const LoadParameters& phi, const LoadFit& fit) noexcept {
+  std::array<LoadSums::Row, kMaxJoints> residuals;
+  for (std::size_t j = 0; j < static_cast<std::size_t>(sums.joints()); ++j)
+    residuals[j] = left(load_target(phi), shared_by(cause), fit, j);
+  return noise_of(sums, residuals);
 }
 
 LoadFit fit_load(const LoadSums& sums, LoadCause cause, const LoadParameters& phi, const LoadBefore& before) noexcept {
@@ -385,11 +383,11 @@ Square4 of_constants(const LoadSums& sums, const WeighSettings& settings, const 
   std::array<double, kMost> together{};
   for (int joint = 0; joint < sums.joints(); ++joint) {
     const auto j = static_cast<std::size_t>(joint);
-    Square4 information{};
-    std::array<double, kMost> moment{};
+    LoadEquations of_joint;
     const double weight = 1 / (fit.noise.scale[j] * fit.noise.scale[j] * fit.noise.correlation);
-    eliminate(sums, joint, shared_by(LoadCause::load), target(about), weight, before, information, moment);
-    const auto moved = times(fit.covariance, times(information, {carried[0], carried[1], carried[2], carried[3]}));
+    eliminate(sums.joint(joint).whole, LoadSums::kLoad, kMost, load_target(about), weight,
+              {before.offset_nm[j], before.coulomb_nm[j]}, of_joint);
+    const auto moved = times(fit.covariance, times(of_joint.information, {carried[0], carried[1], carried[2], carried[3]}));
     for (std::size_t a = 0; a < kMost; ++a) together[a] += moved[a];
     add(moved, settings.torque_share[j]);
   }

@@ -46,8 +46,8 @@ class LoadSums {
   int joints() const noexcept { return static_cast<int>(joints_.size()); }
   double rows() const noexcept { return rows_; }
   const Joint& joint(int j) const noexcept { return joints_[static_cast<std::size_t>(j)]; }
-  // Sum over b of whole_ab theta_b.
-  double product(int joint, std::size_t a, const Row& theta) const noexcept;
+  // Sum over b of upper_ab theta_b.
+  static double product(const Square& upper, std::size_t a, const Row& theta) noexcept;
   // theta^T whole theta, and theta^T blocks theta with the open block.
   double square(int joint, const Row& theta) const noexcept;
   double block_square(int joint, const Row& theta) const noexcept;
@@ -64,12 +64,37 @@ struct LoadBefore {
   double moment_kg_m = 0;                 // standard deviation of each component of h; 0: none given
 };
 
+// Normal equations of the coefficients that all joints share: up to 4, row-major.
+struct LoadEquations {
+  std::array<double, 16> information{};
+  std::array<double, 4> moment{};
+};
+// A joint's offset and Coulomb friction as a function of the shared coefficients.
+struct OwnUnknowns {
+  std::array<std::array<double, 4>, 2> per_shared;
+  std::array<double, 2> constant;
+
+  std::array<double, 2> at(std::span<const double> shared) const noexcept;
+};
+// Adds a joint to the equations of the columns first to first + size, with its own two unknowns eliminated:
+// information += A - C D^-1 C^T, moment += b - C D^-1 d.
+//  gram: as LoadSums::Joint::whole
+//  target: the sum of columns that is explained
+//  sizes: standard deviations of offset and Coulomb friction
+OwnUnknowns eliminate(const LoadSums::Square& gram, std::size_t first, std::size_t size, const LoadSums::Row& target,
+                      double weight, const std::array<double, 2>& sizes, LoadEquations& to) noexcept;
+// What is left of tau_ext for mass and first moment, as a sum of columns: without `share` of the gear's constant part and
+// of the inertia of the load as known so far.
+LoadSums::Row load_target(const LoadParameters& phi, double share = 1) noexcept;
+// Size and correlation of residuals, which are sums of columns: sums over blocks grow with the correlation time.
+LoadNoise noise_of(const LoadSums& sums, std::span<const LoadSums::Row> residuals) noexcept;
+
 // Least squares of tau_ext - gear - X_I phi_I = X values + offset_j + coulomb_j tanh(dq_j / v) + error over all rows: each
 // joint's own two unknowns are eliminated before the joints are added up. phi: the load as known so far, whose inertia
 // phi_I is taken off.
 LoadFit solve_load(const LoadSums& sums, LoadCause cause, const LoadParameters& phi, const LoadBefore& before,
                    const LoadNoise& noise) noexcept;
-// Size and correlation of a fit's residuals: sums over blocks grow with the correlation time.
+// The noise of a fit's residuals.
 LoadNoise noise_left(const LoadSums& sums, LoadCause cause, const LoadParameters& phi, const LoadFit& fit) noexcept;
 // Alternates both, kLoadPasses times.
 inline constexpr int kLoadPasses = 4;

@@ -13,6 +13,19 @@ constexpr double kDriftOfLimit = 0.3;      // of a limit: largest drift if no dr
 
 }  // namespace
 
+void Standstill::step(std::int64_t t_ns, std::uint32_t near_stiction, int joints) noexcept {
+  const double step_s = timed_ && t_ns > t_ns_ ? elapsed_s(t_ns, t_ns_) : 0.0;
+  timed_ = true;
+  t_ns_ = t_ns;
+  for (std::size_t j = 0; j < static_cast<std::size_t>(joints); ++j)
+    stood_s_[j] = near_stiction >> j & 1 ? stood_s_[j] + step_s : 0.0;
+}
+
+double Standstill::worth(int joint) const noexcept {
+  const double stood = 1 + stood_s_[static_cast<std::size_t>(joint)] / kStand_s;
+  return 1 / (stood * stood);
+}
+
 bool Weighing::possible(const Bundle& bundle) noexcept {
   return bundle.load.link >= 0 && bundle.observer.unfiltered_momentum();
 }
@@ -54,9 +67,9 @@ void Weighing::start(double reach_m, const Load& set) noexcept {
   columns_.reset();
   phi_ = {};
   noise_ = LoadNoise::unknown();
-  stood_s_ = {};
+  standstill_.restart();
   on_ = true;
-  pending_ = timed_ = false;
+  pending_ = false;
   row_due_ = true;
   sums_.clear();
   unsolved_rows_ = 0;
@@ -68,7 +81,7 @@ void Weighing::reset() noexcept {
 }
 
 void Weighing::take(const Sample& sample, const Observed& observed, const Estimate& estimate) noexcept {
-  stand(estimate.t_ns, estimate.near_stiction);
+  standstill_.step(estimate.t_ns, estimate.near_stiction, joints_);
   entered_ = observed.passage == Passage::entered;
   restarted_ = observed.restarted;
   healthy_ = estimate.health == Health::ok && estimate.declared == Declared::none;
@@ -85,14 +98,6 @@ void Weighing::take(const Sample& sample, const Observed& observed, const Estima
     sigma_nm_[j] = std::max(sigma, kLeastSigma);
     tau_ext_[j] = estimate.tau_ext[j];
   }
-}
-
-// How long each joint has stood for, up to this sample.
-void Weighing::stand(std::int64_t t_ns, std::uint32_t near_stiction) noexcept {
-  const double step_s = timed_ && t_ns > t_ns_ ? elapsed_s(t_ns, t_ns_) : 0.0;
-  timed_ = true;
-  for (std::size_t j = 0; j < static_cast<std::size_t>(joints_); ++j)
-    stood_s_[j] = near_stiction >> j & 1 ? stood_s_[j] + step_s : 0.0;
 }
 
 void Weighing::advance(std::span<const double> beta) noexcept {
@@ -119,8 +124,7 @@ void Weighing::add_row() noexcept {
   for (int joint = 0; joint < joints_; ++joint) {
     const auto j = static_cast<std::size_t>(joint);
     rows[j] = columns_.row(joint, tau_ext_[j]);
-    const double stood = 1 + stood_s_[j] / kStand_s;
-    worth[j] = counts_[j] / (stood * stood);
+    worth[j] = counts_[j] * standstill_.worth(joint);
   }
   const auto n = static_cast<std::size_t>(joints_);
   sums_.add(std::span(rows).first(n), std::span(sigma_nm_).first(n), std::span(worth).first(n));

@@ -15,13 +15,28 @@ namespace tauext {
 
 struct Bundle;
 
+// How long each joint has stood, and what its rows are worth: 1 while it slides, (1 + t / kStand_s)^-2 after t. Over a
+// standstill of any length that is kStand_s of sliding.
+class Standstill {
+ public:
+  static constexpr double kStand_s = 0.5;
+
+  void restart() noexcept { *this = {}; }
+  void step(std::int64_t t_ns, std::uint32_t near_stiction, int joints) noexcept;
+  double worth(int joint) const noexcept;
+
+ private:
+  bool timed_ = false;
+  std::int64_t t_ns_ = 0;
+  JointVector stood_s_{};
+};
+
 // take() copies what advance() needs. advance() steps the columns, adds a row once per network period and solves every
 // kRefreshRows rows, so that the columns match the current load estimate. Rows are healthy samples; the columns need
 // 10/K0 after every start or restart.
 class Weighing {
  public:
   static constexpr int kRefreshRows = 10;
-  static constexpr double kStand_s = 0.5;  // a standstill counts as this time of sliding
   static constexpr double kOffsetShare = 0.07, kCoulombShare = 0.2;  // of the most that drift may be: see LoadBefore
 
   // The bundle names a load's frame, and r is the momentum observer's without filters.
@@ -50,7 +65,6 @@ class Weighing {
   const WeighSettings& settings() const noexcept { return settings_; }
 
  private:
-  void stand(std::int64_t t_ns, std::uint32_t near_stiction) noexcept;
   void add_row() noexcept;
   void refresh() noexcept;
 
@@ -66,11 +80,12 @@ class Weighing {
   Load set_;
   LoadParameters phi_{};
   LoadNoise noise_ = LoadNoise::unknown();
-  bool on_ = false, pending_ = false, entered_ = false, restarted_ = false, healthy_ = false, timed_ = false;
+  Standstill standstill_;
+  bool on_ = false, pending_ = false, entered_ = false, restarted_ = false, healthy_ = false;
   bool row_due_ = true;  // whenever it comes
   int unsolved_rows_ = 0;
   std::int64_t t_ns_ = 0, row_ns_ = 0;
-  JointVector q_{}, dq_{}, tau_ext_{}, sigma_nm_{}, stood_s_{};
+  JointVector q_{}, dq_{}, tau_ext_{}, sigma_nm_{};
 };
 
 }  // namespace tauext

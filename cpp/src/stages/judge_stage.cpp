@@ -46,6 +46,7 @@ void JudgeStage::reset() noexcept {
   coverage_.reset();
   touch_.reset();
   waits_ = false;
+  explained_ = true;
   const int joints = estimate_.joints;
   estimate_ = {};
   estimate_.joints = joints;
@@ -63,6 +64,7 @@ void JudgeStage::restore(const State& state) noexcept {
   coverage_.restore(state.coverage);
   touch_.restore(state.touch);
   waits_ = state.waits;
+  explained_ = true;
   estimate_ = state.estimate;
 }
 
@@ -110,6 +112,8 @@ void JudgeStage::blank(bool also_residual) noexcept {
 
 // No torque is explained by a load or a declared contact.
 void JudgeStage::forget_explained() noexcept {
+  if (!explained_) return;
+  explained_ = false;
   Estimate& e = estimate_;
   std::fill_n(e.load_nm.begin(), e.joints, 0.0);
   std::fill_n(e.declared_nm.begin(), e.joints, 0.0);
@@ -211,17 +215,12 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
     raised[j] = e.doubt[j] + widened_at_rest_nm_[j] + widened_per_speed_[j] * std::fabs(sample.dq[static_cast<std::size_t>(j)]);
   e.near_stiction = o.near_stiction;
   const bool expects = expected && expected->on(), declares = contacts && contacts->any();
-  JointVector higher = raised, spread{};
-  if (declares) contacts->explain_joints(o, sample.q, contact_errors_, e);
-  if (expects) explain_load(o, sample, higher, *expected);
-  const bool pressed = declares && contacts->explain_frame(o, sample.q, contact_errors_, !expects, e, spread);
+  bool pressed = false;
   if (expects || declares)
-    e.detection = alarm_.step(o.t_ns, unexplained(), e.limit_scale, higher, e.near_stiction, o.judged, e.limit_nm,
-                              e.contact_limit_nm, spread, pressed);
+    pressed = judge_rest(o, sample, raised, expects ? expected : nullptr, declares ? contacts : nullptr);
   else
     e.detection = alarm_.step(o.t_ns, e.tau_ext, e.limit_scale, raised, e.near_stiction, o.judged, e.limit_nm,
                               e.contact_limit_nm);
-  if (expects) expected->follow(o.t_ns, undeclared(), e.limit_scale, raised, e.near_stiction, o.judged, alarm_);
   if (o.judged && scale_.on()) {
     const bool touched = pressed || alarm_.state().held_alarm != Alarm::none || e.detection;
     contact_errors_.step(o.t_ns, e.near_stiction, touched, first_joints(e.tau_ext), first_joints(e.sigma_nm), o.memory_gap,
@@ -238,10 +237,26 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
   if (drift_.on()) drift_.learn(first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt), silent, teaches);
   if (factors_.on()) factors_.learn(sample.dq, first_joints(e.tau_ext), first_joints(e.sigma_nm), first_joints(e.doubt), silent, teaches, drift_);
   e.drift_saturated = drift_.saturated() | factors_.saturated();
-  const JointVector left = unexplained();
-  for (int j = 0; o.judged && j < e.joints; ++j) e.margin_nm[j] = e.limit_nm[j] - std::fabs(left[j]);
+  for (int j = 0; o.judged && j < e.joints; ++j)
+    e.margin_nm[j] = e.limit_nm[j] - std::fabs(e.tau_ext[j] - e.declared_nm[j] - e.load_nm[j]);
   report_alarm();
   waits_ = true;
+}
+
+// Checks what is left of tau_ext behind declared contacts and an expected load, each null: none is in effect. Returns whether a
+// force acts at the frame of a contact.
+bool JudgeStage::judge_rest(const Observed& o, const Sample& sample, const JointVector& raised, ExpectedLoad* expected,
+                            DeclaredContacts* contacts) noexcept {
+  Estimate& e = estimate_;
+  explained_ = true;
+  JointVector higher = raised, spread{};
+  if (contacts) contacts->explain_joints(o, sample.q, contact_errors_, e);
+  if (expected) explain_load(o, sample, higher, *expected);
+  const bool pressed = contacts && contacts->explain_frame(o, sample.q, contact_errors_, !expected, e, spread);
+  e.detection = alarm_.step(o.t_ns, unexplained(), e.limit_scale, higher, e.near_stiction, o.judged, e.limit_nm,
+                            e.contact_limit_nm, spread, pressed);
+  if (expected) expected->follow(o.t_ns, undeclared(), e.limit_scale, raised, e.near_stiction, o.judged, alarm_);
+  return pressed;
 }
 
 // The part of tau_ext that an expected load explains. Limits rise by the load model's usual relative error.

@@ -123,6 +123,8 @@ class JudgeStage {
  private:
   void judge(const Observed& observed, const Sample& sample, std::span<const float> network, ExpectedLoad* expected,
              DeclaredContacts* contacts) noexcept;
+  bool judge_rest(const Observed& observed, const Sample& sample, const JointVector& raised, ExpectedLoad* expected,
+                  DeclaredContacts* contacts) noexcept;
   void explain_load(const Observed& observed, const Sample& sample, JointVector& raised, ExpectedLoad& expected) noexcept;
   JointVector undeclared() const noexcept;
   JointVector unexplained() const noexcept;
@@ -146,6 +148,7 @@ class JudgeStage {
   Coverage coverage_;
   TouchKind touch_;
   bool waits_ = false;
+  bool explained_ = true;  // load_nm or declared_* of the estimate may not be 0
   Estimate estimate_;
   JointVector widened_at_rest_nm_{}, widened_per_speed_{};
   bool drift_held_ = false;

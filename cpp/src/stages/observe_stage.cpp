@@ -240,10 +240,23 @@ void ObserveStage::watch(const Sample& s, Findings& findings) noexcept {
   if (p.saturated && since_s * slowest_per_s_ >= 10.0) p.saturated = false;
 }
 
+// Whether nothing inside the chain overflowed; no branches.
+bool ObserveStage::all_finite() const noexcept {
+  unsigned fine = 1;
+  const auto within = [](auto value, auto most) { return static_cast<unsigned>(std::fabs(value) <= most); };
+  for (int j = 0; j < joints_; ++j)
+    fine &= within(residual_nm_[j], kLargest) & within(prior_nm_[j], kLargest) & within(doubt_nm_[j], kLargest);
+  for (int j = 0; reports_friction_parts_ && j < joints_; ++j)
+    fine &= within(coulomb_nm_[j], kLargest) & within(viscous_nm_[j], kLargest);
+  for (const float value : row_) fine &= within(value, largest_input_);
+  return fine;
+}
+
 // Finds overflow inside the chain: not finite, or too large for the network or for tau_ext.
 void ObserveStage::find_overflow(Findings& findings) noexcept {
   Observed& o = observed_;
   o.overflowed = false;
+  if (all_finite()) return;
   for (int j = 0; j < joints_ && !o.overflowed; ++j)
     if (too_large(residual_nm_[j]) || too_large(prior_nm_[j]) || too_large(doubt_nm_[j]) ||
         (reports_friction_parts_ && (too_large(coulomb_nm_[j]) || too_large(viscous_nm_[j])))) {

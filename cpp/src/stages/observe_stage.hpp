@@ -104,6 +104,7 @@ class ObserveStage {
   bool usable(const Sample& sample) noexcept;
   Impossible impossible(const Sample& sample) const noexcept;
   void enter(const Sample& sample) noexcept;
+  bool all_finite() const noexcept;
   void find_overflow(Findings& findings) noexcept;
   void watch(const Sample& sample, Findings& findings) noexcept;
   void conclude(const Findings& findings) noexcept;

@@ -443,6 +443,42 @@ void DeclaredContacts::stand(const Observed& observed, const ContactErrors& erro
   }
 }
 
+// Passes the Jacobian of a contact's frame, (parts, joints), through the observer's filter.
+void DeclaredContacts::filter_columns(int which, std::int64_t t_ns, std::span<const double> now) noexcept {
+  const auto n = static_cast<std::size_t>(joints_);
+  const bool fresh = state_.fitted != which;
+  const double kept = fresh ? 0.0 : std::exp(-gain_per_s_ * elapsed_s(t_ns, state_.t_ns));
+  state_.t_ns = t_ns;
+  state_.fitted = which;
+  for (std::size_t i = 0; i < now.size() / n; ++i)
+    for (std::size_t j = 0; j < n; ++j) {
+      double& column = state_.columns[i][j];
+      column = fresh ? now[i * n + j] : column + (1 - kept) * (now[i * n + j] - column);
+    }
+}
+
+// Least squares of the torques of the joints in use, for a force (parts = 3) or a wrench (6) of the filtered Jacobian.
+WrenchEquations DeclaredContacts::equations_of(const std::array<bool, kMaxJoints>& used, std::size_t parts,
+                                               const ContactErrors& errors, const Estimate& e) const noexcept {
+  WrenchEquations equations;
+  for (std::size_t j = 0; j < static_cast<std::size_t>(joints_); ++j) {
+    if (!used[j]) continue;
+    const double rest = e.tau_ext[j] - e.load_nm[j];
+    const Vector3 f{state_.columns[0][j], state_.columns[1][j], state_.columns[2][j]};
+    const double w = 1 / (e.sigma_nm[j] * e.sigma_nm[j] + errors.brought(static_cast<int>(j), e.near_stiction >> j & 1, rest));
+    equations.force.add(w, f);
+    equations.force_seen = equations.force_seen + w * rest * f;
+    if (parts == 3) continue;
+    const Vector3 m{state_.columns[3][j], state_.columns[4][j], state_.columns[5][j]};
+    equations.moment.add(w, m);
+    equations.mixed[0] = equations.mixed[0] + w * f.x * m;
+    equations.mixed[1] = equations.mixed[1] + w * f.y * m;
+    equations.mixed[2] = equations.mixed[2] + w * f.z * m;
+    equations.moment_seen = equations.moment_seen + w * rest * m;
+  }
+  return equations;
+}
+
 // The wrench at the frame of a contact; returns whether a force acts.
 bool DeclaredContacts::explain_at(int which, const Observed& observed, std::span<const double> q, const ContactErrors& errors,
                                   Estimate& e) noexcept {
@@ -452,42 +488,18 @@ bool DeclaredContacts::explain_at(int which, const Observed& observed, std::span
   std::array<double, 6 * kMaxJoints> now;
   const auto [rotation, origin] = wrench_->columns(contact.frame, q, contact.point, WrenchAxes::base, now);
   const Turn base = turn(rotation);  // base from frame
-  const bool fresh = state_.fitted != which;
-  const double kept = fresh ? 0.0 : std::exp(-gain_per_s_ * elapsed_s(observed.t_ns, state_.t_ns));
-  state_.t_ns = observed.t_ns;
-  state_.fitted = which;
   const std::size_t parts = contact.at_most_nm > 0 ? 6 : 3;
   std::array<bool, kMaxJoints> used{};  // a joint with a contact of its own shows nothing of the force
   for (std::size_t j = 0; j < n; ++j) used[j] = told_[j] && e.sigma_nm[j] > 0;
   for (const Slot& other : state_.slots)
     if (other.acts && !other.contact.at_frame()) used[static_cast<std::size_t>(other.contact.joint)] = false;
-  for (std::size_t i = 0; i < parts; ++i)
-    for (std::size_t j = 0; j < n; ++j) {
-      double& column = state_.columns[i][j];
-      column = fresh ? now[i * n + j] : column + (1 - kept) * (now[i * n + j] - column);
-    }
+  filter_columns(which, observed.t_ns, std::span(now).first(parts * n));
   ForceCone cone = slot.cone;
   if (contact.axes == WrenchAxes::frame) cone.axis = base.out(cone.axis);
   const Vector3 shift = base.out(vector3(contact.point));
   const std::array<double, 3> at{origin[0] + shift.x, origin[1] + shift.y, origin[2] + shift.z};
 
-  WrenchEquations equations;
-  std::array<double, kMaxJoints> rest;
-  for (std::size_t j = 0; j < n; ++j) {
-    rest[j] = e.tau_ext[j] - e.load_nm[j];
-    const Vector3 f{state_.columns[0][j], state_.columns[1][j], state_.columns[2][j]};
-    if (!used[j]) continue;
-    const double w = 1 / (e.sigma_nm[j] * e.sigma_nm[j] + errors.brought(static_cast<int>(j), e.near_stiction >> j & 1, rest[j]));
-    equations.force.add(w, f);
-    equations.force_seen = equations.force_seen + w * rest[j] * f;
-    if (parts == 3) continue;
-    const Vector3 m{state_.columns[3][j], state_.columns[4][j], state_.columns[5][j]};
-    equations.moment.add(w, m);
-    equations.mixed[0] = equations.mixed[0] + w * f.x * m;
-    equations.mixed[1] = equations.mixed[1] + w * f.y * m;
-    equations.mixed[2] = equations.mixed[2] + w * f.z * m;
-    equations.moment_seen = equations.moment_seen + w * rest[j] * m;
-  }
+  const WrenchEquations equations = equations_of(used, parts, errors, e);
   constexpr double kNoBound = std::numeric_limits<double>::infinity();
   const bool pushes = contact.at_most_n > 0;
   if (!pushes) cone.most_n = 0;
@@ -520,7 +532,7 @@ bool DeclaredContacts::explain_at(int which, const Observed& observed, std::span
     const Vector3 f{state_.columns[0][j], state_.columns[1][j], state_.columns[2][j]};
     double explained = dot(f, fit.force);
     if (parts == 6) explained += dot({state_.columns[3][j], state_.columns[4][j], state_.columns[5][j]}, fit.moment);
-    if (!told_[j] && (f.x != 0 || f.y != 0 || f.z != 0)) explained = rest[j];  // its unit is unknown
+    if (!told_[j] && (f.x != 0 || f.y != 0 || f.z != 0)) explained = e.tau_ext[j] - e.load_nm[j];  // its unit is unknown
     e.declared_nm[j] = explained;
   }
   return acts;

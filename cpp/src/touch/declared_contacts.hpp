@@ -132,6 +132,9 @@ class DeclaredContacts {
   bool acts(Slot& slot, std::int64_t t_ns, std::span<const double> q) const noexcept;
   void stand(const Observed& observed, const ContactErrors& errors, bool pressed, Estimate& estimate, JointVector& spread_nm) noexcept;
   void take_joints(const ContactErrors& errors, Estimate& estimate) const noexcept;
+  void filter_columns(int which, std::int64_t t_ns, std::span<const double> now) noexcept;
+  WrenchEquations equations_of(const std::array<bool, kMaxJoints>& used, std::size_t parts, const ContactErrors& errors,
+                               const Estimate& estimate) const noexcept;
   bool explain_at(int which, const Observed& observed, std::span<const double> q, const ContactErrors& errors,
                   Estimate& estimate) noexcept;
 

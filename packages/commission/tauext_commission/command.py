@@ -8,11 +8,12 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from tauext.cli.place_argument import LocalArg, PlaceArg
 from tauext.cli.source_options import SOURCES, SourceOptions, SourceOptionsArg, given
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
@@ -20,6 +21,7 @@ from tauext.progress import in_plain_letters
 
 if TYPE_CHECKING:
     from tauext_commission.answers import Steering
+    from tauext_commission.run import Options
 
 LEAST_DISK_GB, MOST_DISK_GB = 0.1, 1e5
 KEYS = {"t": "touched", "n": "nothing", "y": "learn", "x": "leave"}
@@ -29,14 +31,11 @@ MOST_CORES = 1024
 
 
 def commission(
-    source: Annotated[
-        str | None,
-        tyro.conf.arg(help=f"source of the samples: {SOURCES}."),
-    ] = None,
-    out: LocalArg | None = None,
-    robot: LocalArg | None = None,
+    source: Annotated[str | None, tyro.conf.arg(help=f"source of the samples: {SOURCES}.")] = None,
+    out: Path | None = None,
+    robot: Path | None = None,
     options: SourceOptionsArg = SourceOptions(),  # noqa: B008
-    reactions: PlaceArg | None = None,
+    reactions: Path | None = None,
     no_page: Annotated[bool, tyro.conf.arg(name="no-page")] = False,
     host: str = "127.0.0.1",
     port: int = 8080,
@@ -66,13 +65,9 @@ def commission(
             Without --source that is all.
     """
     if repair and out is not None:
-        from tauext_commission.run import repaired_folder
-
-        for line in repaired_folder(out):
-            say(line)
+        repair_folder(out, source)
         if source is None:
             return
-        say(f"{out}: the repair is complete; monitoring begins with {source}")
     if source is None or out is None:
         missing = "--out" if out is None else "--source"
         raise ConfigError(f"{missing} is missing: tauext commission --source ur:HOST --out cell7")
@@ -82,35 +77,46 @@ def commission(
     require(1 <= port <= 65535, "port", port, "1 to 65535")
 
     from tauext.monitor.reaction_file import load_reactions
-    from tauext_commission.page import serve
-    from tauext_commission.page.door import LOOPBACK, listening_socket
     from tauext_commission.run import Options, run
 
-    token, door, address = "", None, ""
-    if not no_page:
-        door = listening_socket(host, port)
-        found = door.getsockname()[1]
-        token = "" if host in LOOPBACK else secrets.token_urlsafe(32)
-        shown = "localhost" if host in ("127.0.0.1", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
-        reach = "from this computer only" if host in LOOPBACK else "whoever has this address can answer"
-        address = f"http://{shown}:{found}/{f'?token={token}' if token else ''}  (the page, {reach})"
-        if found != port:  # printed with the address, once the folder is known to be free
-            address = f"port {port} is in use; the page is on port {found}\n{address}"
     chosen = Options(
         robot=robot,
         source=given(options),
         reactions=lambda joints: [] if reactions is None else load_reactions(reactions, joints),
-        page=None if no_page else serve,
-        address=address,
         host=host,
-        listening=door,
-        token=token,
         disk_bytes=disk_gb * 1e9,
         core=core,
         priority=priority,
     )
     with keys() as listening:
-        run(out, source, chosen, say, listening)
+        run(out, source, chosen if no_page else with_page(chosen, port), say, listening)
+
+
+def repair_folder(out: Path, source: str | None) -> None:
+    """Print what was rebuilt in the folder, and what is lost."""
+    from tauext_commission.run import repaired_folder
+
+    for line in repaired_folder(out):
+        say(line)
+    if source is not None:
+        say(f"{out}: the repair is complete; monitoring begins with {source}")
+
+
+def with_page(options: Options, port: int) -> Options:
+    """With a page on this port of the host; if it is in use, on the next free one."""
+    from tauext_commission.page import serve
+    from tauext_commission.page.door import LOOPBACK, listening_socket
+
+    host = options.host
+    listening = listening_socket(host, port)
+    found = listening.getsockname()[1]
+    token = "" if host in LOOPBACK else secrets.token_urlsafe(32)
+    shown = "localhost" if host in ("127.0.0.1", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+    reach = "from this computer only" if host in LOOPBACK else "whoever has this address can answer"
+    address = f"http://{shown}:{found}/{f'?token={token}' if token else ''}  (the page, {reach})"
+    if found != port:  # printed with the address, once the folder is known to be free
+        address = f"port {port} is in use; the page is on port {found}\n{address}"
+    return replace(options, page=serve, address=address, listening=listening, token=token)
 
 
 def say(text: str) -> None:

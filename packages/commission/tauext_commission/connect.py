@@ -61,15 +61,14 @@ TOPICS = {
     "joints": ("joint-names", "joint-order", "joint-axis", "stuck", "model-unusable", "not-measured"),
     "rate": ("wrong-rate", "clock-gaps", "repeated-rows"),
     "clock": ("clock-irregular", "time-unit", "spike"),
-    "units": ("degrees", "velocity-unit", "velocity-mismatch", "velocity-sign", "velocity-delay", "position-limit"),
+    "units": ("degrees", "velocity-unit", "velocity-mismatch", "velocity-sign", "velocity-delay", "beyond-limit"),
     "sign": ("effort-sign", "unsigned-torque", "load-sign-bit"),
     "signal": (
-        "effort-duty", "effort-external", "effort-gravity-compensated", "effort-limit", "effort-motor-side",
-        "effort-scale", "supply-current", "current-signed", "saturated", "quantised", "smoothed", "torque-delay",
+        "effort-duty", "effort-compensated", "beyond-limit", "effort-motor-side", "effort-scale", "supply-current",
+        "current-signed", "saturated", "resolution", "torque-delay",
     ),
     "robot-file": (
-        "gravity-direction", "inertia-impossible", "mass-missing", "payload-absent", "payload-missing",
-        "position-offset", "joint-names", "model-unusable",
+        "gravity-direction", "inertia-impossible", "payload", "position-offset", "joint-names", "model-unusable",
     ),
 }  # fmt: skip
 """What is checked, and the codes that speak against it. A topic without a finding is good, or waits for motion."""
@@ -78,9 +77,9 @@ WAITING = {"too-short": "", "never-moves": "", "excitation-low": ""}
 HARMLESS = {
     "contact-in-free-motion": "no action is needed: such motion is left out of training; if nothing touched the arm, "
     "its torque jumps",
-    "temperature-drift": "no action is needed: the monitor follows friction that changes slowly",
+    "torque-changes": "no action is needed: the monitor follows friction that changes slowly",
 }
-"""Remedies of what commissioning handles by itself: such findings are notes."""
+"""Remedies of what commissioning handles by itself: such warnings are notes."""
 REMEDIES = {
     "effort-sign": "reverse this joint's effort in the driver: it must be positive where the motor drives the joint in "
     "its positive direction",
@@ -128,7 +127,7 @@ def judge(recordings: Sequence[Recording], robot: Path | None, facts: SourceFact
 
 def as_live(finding: Finding) -> Remark:
     """A finding of `tauext check` in words for a live stream."""
-    if finding.code in HARMLESS:
+    if finding.code in HARMLESS and finding.severity != "fault":
         return Remark(finding.code, "note", finding.joint, _words(finding), HARMLESS[finding.code])
     remedy = REMEDIES.get(finding.code) or re.sub(
         r",? at import( and in the monitor)?", " in the driver", finding.advice

@@ -6,6 +6,7 @@ import html
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from tauext.bundle.bundle_file import load_bundle
@@ -27,7 +28,6 @@ from tauext.bundle.history_file import (
 )
 from tauext.errors import ConfigError, TauextError
 from tauext.files.atomic_write import atomic_write
-from tauext.files.places import Place
 from tauext.fit.tail import duration, is_kept, promised_per_hour
 from tauext.monitor.monitored_time import percent
 
@@ -81,7 +81,7 @@ class Kept:
         return f"{promised}; counted: {happened}{more}: {'kept' if self.kept else 'BROKEN'}"
 
 
-def kept_of(folder: Place, bundle: str, seconds: float) -> Kept:
+def kept_of(folder: Path, bundle: str, seconds: float) -> Kept:
     """The promise of a bundle of this folder, up to so many received seconds."""
     counted = monitored_of(read_coverage(folder)).get(bundle)
     if counted is None:  # coverage.json is lost
@@ -105,7 +105,7 @@ def monitored_words(coverage: dict[str, Any]) -> str | None:
     return f"{newest}{percent(seconds / of_seconds)} of {duration(of_seconds / 3600)} in all"
 
 
-def promise_of(folder: Place, bundle: str) -> tuple[float | None, str]:
+def promise_of(folder: Path, bundle: str) -> tuple[float | None, str]:
     """False alarms an hour that a bundle's limits are set for, and its sentence; None, "" without a promise."""
     if (path := bundle_file(folder, bundle)) is None:
         return None, ""
@@ -120,7 +120,7 @@ def promise_of(folder: Place, bundle: str) -> tuple[float | None, str]:
 # --- A folder for `tauext show`.
 
 
-def describe_folder(folder: Place) -> dict[str, Any]:
+def describe_folder(folder: Path) -> dict[str, Any]:
     """What a folder of `tauext commission` holds, as plain JSON.
 
     Raises:
@@ -159,7 +159,7 @@ def describe_folder(folder: Place) -> dict[str, Any]:
 COLUMNS = ("arm", "since", "monitored", "promise", "alarms", "false", "last training", "warnings")
 
 
-def arm_row(folder: Place) -> tuple[str, ...]:
+def arm_row(folder: Path) -> tuple[str, ...]:
     """A commissioned arm in words, by COLUMNS; of a damaged folder its name and the damage."""
     try:
         return _arm_row(folder)
@@ -170,7 +170,7 @@ def arm_row(folder: Place) -> tuple[str, ...]:
     return (folder.name, *[""] * (len(COLUMNS) - 2), why)
 
 
-def _arm_row(folder: Place) -> tuple[str, ...]:
+def _arm_row(folder: Path) -> tuple[str, ...]:
     content, history = describe_folder(folder), read_history(folder)
     since = next((one.get("wall") for one in history if one["kind"] in ("exchange", "activation")), "")
     trained = [one for one in history if one["kind"] == "training"]
@@ -201,7 +201,7 @@ def _arm_row(folder: Place) -> tuple[str, ...]:
     )
 
 
-def write_arms(folders: Sequence[Place], out: Place) -> list[tuple[str, ...]]:
+def write_arms(folders: Sequence[Path], out: Path) -> list[tuple[str, ...]]:
     """Write OUT/arms.html, a row for each commissioned arm; returns the rows.
 
     Raises:
@@ -215,7 +215,7 @@ def write_arms(folders: Sequence[Place], out: Place) -> list[tuple[str, ...]]:
 # --- A page of the history for `tauext report`.
 
 
-def write_history(folder: Place, out: Place) -> Place:
+def write_history(folder: Path, out: Path) -> Path:
     """Write OUT/history.html, one file: state, trainings, promises against what happened, and alarms.
 
     Raises:
@@ -251,7 +251,7 @@ def write_history(folder: Place, out: Place) -> Place:
     return write_page(out / "history.html", f"{folder.name}: history of a commissioned arm", parts)
 
 
-def write_page(path: Place, title: str, parts: Sequence[str]) -> Place:
+def write_page(path: Path, title: str, parts: Sequence[str]) -> Path:
     """Write a page of HTML and return its path.
 
     Raises:

@@ -213,7 +213,7 @@ class Trainer:
 
     def _config(self, minutes: float) -> TrainConfig:
         prior = PriorConfig() if minutes >= RIPPLES_FROM_MIN else PriorConfig(most_ripples=0)
-        return accepted_settings(TrainConfig(recipe="prior", threads=THREADS, prior=prior), (), None)
+        return accepted_settings(TrainConfig(recipe="prior", threads=THREADS, prior=prior), ())
 
     def _train(self, minutes: float) -> None:
         """Train on all training motion, without touches that nobody reported."""

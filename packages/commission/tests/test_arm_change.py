@@ -34,7 +34,7 @@ def moved(arm: GearedArm, seconds: float, seed: int, load_kg: float = 0.0) -> Re
 
 def trained(arm: GearedArm, load_kg: float, path: Path) -> _core.Bundle:
     (path / "robot.xml").write_text(arm.xml)
-    config = accepted_settings(TrainConfig(recipe="prior", threads=1, prior=PriorConfig(most_ripples=0)), (), None)
+    config = accepted_settings(TrainConfig(recipe="prior", threads=1, prior=PriorConfig(most_ripples=0)), ())
     given = Given(
         path / "robot.xml", PAPER_CASES[chosen_case(None, path / "robot.xml")[0]], [moved(arm, 60.0, 1, load_kg)]
     )

@@ -606,7 +606,7 @@ def test_the_folder_is_a_dataset_for_other_commands(copy, tmp_path, capsys):
 @pytest.mark.slow
 def test_training_and_calibration_commands_take_the_folder(copy, motion, quick, tmp_path, capsys):
     filled(copy.path, [cut(motion, slice(121_000, 200_000))])
-    out = ["--out", str(tmp_path / "b.tauext"), "--accept", "temperature-drift"]
+    out = ["--out", str(tmp_path / "b.tauext"), "--accept", "torque-changes"]
     run(capsys, "train", "--data", str(copy.path), "--recipe", "prior", *out)
     bundle, limits = str(copy.active()), str(tmp_path / "c.tauext")
     run(capsys, "calibrate", "--bundle", bundle, "--data", str(copy.path), "--out", limits)

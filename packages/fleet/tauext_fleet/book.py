@@ -8,9 +8,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from tauext.files.places import Place, place_of
 from tauext.files.plain_file import FORMAT
-from tauext.files.provenance import VERSION, write_json
+from tauext.files.provenance import VERSION, json_text
 from tauext.files.toml_file import flat, plain
 from tauext_fleet.fleet_file import (
     STAGES,
@@ -23,7 +22,7 @@ from tauext_fleet.fleet_file import (
     robot_files,
     source_files,
 )
-from tauext_fleet.places import text_of_place
+from tauext_fleet.locations import Location, located, text_of, write_text
 from tauext_fleet.task import Contents, Outcome, Task, finished, marker_of
 
 # --- Tasks of a fleet: what each depends on, whether it is done, and why it is to be done again.
@@ -54,7 +53,7 @@ class PlannedArm:
 
 
 def plan_fleet(
-    fleet: Fleet, out: Place, show: Callable[[int, int], object] = lambda done, of: None
+    fleet: Fleet, out: Location, show: Callable[[int, int], object] = lambda done, of: None
 ) -> list[PlannedArm]:
     """All tasks of all arms; contents of files not hashed yet are read.
 
@@ -69,12 +68,12 @@ def plan_fleet(
     try:
         contents.read((file for arm in fleet.arms for file in files_of(arm)), show)
     finally:
-        if out.is_dir():
+        if out.exists():
             contents.keep()
-    return [plan_arm(arm, out.absolute(), contents) for arm in fleet.arms]
+    return [plan_arm(arm, out, contents) for arm in fleet.arms]
 
 
-def plan_arm(arm: Arm, out: Place, contents: Contents) -> PlannedArm:
+def plan_arm(arm: Arm, out: Location, contents: Contents) -> PlannedArm:
     """The tasks of one arm."""
     steps: list[Planned] = []
     for task in tasks_of(arm, out, contents):
@@ -83,60 +82,60 @@ def plan_arm(arm: Arm, out: Place, contents: Contents) -> PlannedArm:
     return PlannedArm(arm, tuple(steps))
 
 
-def tasks_of(arm: Arm, out: Place, contents: Contents) -> list[Task]:
+def tasks_of(arm: Arm, out: Location, contents: Contents) -> list[Task]:
     """In the order of the stages."""
     tasks: dict[str, Task] = {}
     data = data_inputs(arm, contents)
     robot = digests(robot_files(arm.robot), contents)
-    dataset: Place | None = arm.dataset
-    bundle: Place | None = None
-    given: dict[str, Any] = {"name": arm.name, "robot": None if arm.robot is None else text_of_place(arm.robot)}
+    dataset: Location | None = arm.dataset
+    bundle: Location | None = None
+    given: dict[str, Any] = {"name": arm.name, "robot": None if arm.robot is None else text_of(arm.robot)}
     accepted = {"accept": ", ".join(arm.accept)}
 
     def add(stage: str, inputs: Mapping[str, str], **work: Any) -> Task:
         folder = out / ARMS / arm.name / stage
-        tasks[stage] = Task(arm.name, stage, text_of_place(folder), {"name": arm.name, **inputs}, given | work)
+        tasks[stage] = Task(arm.name, stage, text_of(folder), {"name": arm.name, **inputs}, given | work)
         return tasks[stage]
 
     for stage in arm.stages:
         if stage == "import":
-            sources = [text_of_place(source) for source in arm.sources]
+            sources = [text_of(source) for source in arm.sources]
             named = {"sources": ", ".join(source.name for source in arm.sources)}
             files = digests(source_files(arm), contents)
-            made = add(stage, named | files, sources=sources, description=text_of_place(arm.description))
-            dataset, data = place_of(made.folder) / arm.name, {"import": made.hash}
+            made = add(stage, named | files, sources=sources, description=text_of(arm.description))
+            dataset, data = located(made.folder) / arm.name, {"import": made.hash}
         elif stage == "check":
-            add(stage, data | robot | accepted, dataset=text_of_place(dataset), accept=list(arm.accept))
+            add(stage, data | robot | accepted, dataset=text_of(dataset), accept=list(arm.accept))
         elif stage == "train":
             settings = without_threads(plain(arm.train.resolved()))
             depends_on = (
                 {"case": arm.case or ""} | accepted | flat(settings, "train.") | digests(like_files(arm), contents)
             )
             work = {"case": arm.case, "accept": list(arm.accept), "settings": without_threads(plain(arm.train))}
-            work |= {"like": None if arm.like is None else text_of_place(arm.like)}
-            made = add(stage, data | robot | depends_on, dataset=text_of_place(dataset), **work)
-            bundle = place_of(made.folder) / f"{arm.name}.tauext"
+            work |= {"like": None if arm.like is None else text_of(arm.like)}
+            made = add(stage, data | robot | depends_on, dataset=text_of(dataset), **work)
+            bundle = located(made.folder) / f"{arm.name}.tauext"
         elif stage == "calibrate":
             settings, used = plain(arm.calibrate), data
             if arm.calibration is not None:
                 files = digests(dataset_files(arm.calibration, "calibration"), contents)
                 used = {"calibration": arm.calibration.name} | files
             work = {
-                "dataset": text_of_place(arm.calibration or dataset),
+                "dataset": text_of(arm.calibration or dataset),
                 "accept": list(arm.accept),
                 "settings": settings,
             }
             depends_on = {"train": tasks["train"].hash} | accepted | flat(settings, "calibrate.")
-            made = add(stage, used | depends_on, bundle=text_of_place(bundle), **work)
-            bundle = place_of(made.folder) / f"{arm.name}.tauext"
+            made = add(stage, used | depends_on, bundle=text_of(bundle), **work)
+            bundle = located(made.folder) / f"{arm.name}.tauext"
         else:
             settings, maker = plain(arm.evaluate), "calibrate" if "calibrate" in tasks else "train"
             depends_on = {maker: tasks[maker].hash} | flat(settings, "evaluate.")
             add(
                 stage,
                 data | depends_on,
-                dataset=text_of_place(dataset),
-                bundle=text_of_place(bundle),
+                dataset=text_of(dataset),
+                bundle=text_of(bundle),
                 settings=settings,
             )
     return list(tasks.values())
@@ -158,7 +157,7 @@ def planned(task: Task, before: str | None) -> Planned:
     there = finished(task)
     if there is not None:
         return Planned(task, there, "")
-    folder = place_of(task.folder)
+    folder = located(task.folder)
     marker = marker_of(folder)
     if marker is None:
         failed = folder.with_name(f"{task.stage}.failed.txt").exists()
@@ -190,7 +189,7 @@ EVERY_S = 5.0
 class Book:
     """State of each task: done, refused, failed, skipped or waiting."""
 
-    def __init__(self, fleet: Fleet, plan: Sequence[PlannedArm], out: Place):
+    def __init__(self, fleet: Fleet, plan: Sequence[PlannedArm], out: Location):
         self._fleet, self._plan, self._out = fleet, plan, out
         self._outcomes: dict[tuple[str, str], Outcome] = {}
         self._written = time.monotonic()
@@ -212,7 +211,7 @@ class Book:
         return self._plan
 
     @property
-    def path(self) -> Place:
+    def path(self) -> Location:
         return self._out / FILE
 
     def counts(self) -> dict[str, int]:
@@ -234,7 +233,7 @@ class Book:
         if not now and time.monotonic() - self._written < EVERY_S:
             return
         content = {"format": FORMAT, "version": VERSION, "fleet": self._fleet.path.name, "counts": self.counts()}
-        write_json(content | {"arms": [self._arm(arm) for arm in self._plan]}, self.path)
+        write_text(self.path, json_text(content | {"arms": [self._arm(arm) for arm in self._plan]}))
         self._written = time.monotonic()
 
     def _arm(self, arm: PlannedArm) -> dict[str, Any]:

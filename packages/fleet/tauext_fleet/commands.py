@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from tauext.cli.place_argument import AcceptArg, JsonArg, PlaceArg, print_replaced
+from tauext.cli.arguments import AcceptArg, JsonArg, print_replaced
 from tauext.cli.progress import Terminal
 from tauext.config import TrainConfig, require_threads
 from tauext.files.toml_file import write_template
@@ -18,7 +18,7 @@ from tauext_fleet.config import FleetConfig
 
 def prior(
     arms: tyro.conf.Positional[tuple[str, ...]],
-    out: PlaceArg,
+    out: Path,
     threads: int = 0,
     accept: AcceptArg = (),
 ) -> None:
@@ -35,9 +35,9 @@ def prior(
         accept: codes of faults to accept, at all joints or at one.
     """
     require_threads(threads)
-    from tauext.fit.fleet_prior import table
     from tauext_fleet.prior import make_fleet_prior
     from tauext_fleet.prior_arms import fleet_arms
+    from tauext_fleet.prior_content import table
 
     config = TrainConfig(recipe="prior", threads=threads)
     fleet = fleet_arms(arms)
@@ -51,8 +51,8 @@ def prior(
 
 
 def run(
-    fleet: tyro.conf.Positional[PlaceArg],
-    out: PlaceArg,
+    fleet: tyro.conf.Positional[Path],
+    out: Annotated[str, tyro.conf.arg(metavar="PATH|URL")],
     config: Annotated[FleetConfig, tyro.conf.arg(name="")] = FleetConfig(),  # noqa: B008
     dry_run: bool = False,
     as_json: JsonArg = False,
@@ -69,8 +69,8 @@ def run(
     Args:
         fleet: FLEET.toml: arms, files, settings; `tauext fleet example` prints one.
         out: folder to write: arms/NAME/STAGE, and fleet.json with the state of all tasks. Workers on other machines
-            need the same paths for this folder and for the files of FLEET.toml, or URLs with the same keys in their
-            environment.
+            need the same paths for this folder and for the files of FLEET.toml, or URLs of an object store (s3://,
+            gs://, abfs://) with the same keys in their environment.
         config: workers of the tasks.
         dry_run: print the tasks and their reasons without running them.
         as_json: print JSON lines, an object for each start and end of a task.
@@ -79,14 +79,15 @@ def run(
     from tauext_fleet.fleet_file import load_fleet
     from tauext_fleet.output import open_watcher, print_plan
     from tauext_fleet.run import run_fleet
+    from tauext_fleet.store import Stored
 
-    read = load_fleet(fleet)
+    read, folder = load_fleet(fleet), Stored.of_url(out) if "://" in out else Path(out)
     if dry_run:
-        print_plan(plan_fleet(read, out), as_json)
+        print_plan(plan_fleet(read, folder), as_json)
         return 0
     with open_watcher(as_json) as watcher:
         try:
-            end = run_fleet(read, out, config, watcher)
+            end = run_fleet(read, folder, config, watcher)
         except KeyboardInterrupt:
             raise KeyboardInterrupt("finished tasks are kept; the same command continues with the rest") from None
     watcher.finish(end)

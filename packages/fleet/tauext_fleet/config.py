@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 
-from tauext.config import MOST_THREADS, AlarmConfig, EventsConfig, require, require_seed
+from tauext_lab.evaluate.config import EventsConfig
+
+from tauext.config import MOST_THREADS, AlarmConfig, require, require_seed
+from tauext.errors import ConfigError
 
 
 @dataclass(frozen=True)
@@ -58,3 +62,31 @@ class FleetConfig:
         own, words = self.ray is None, "left out with a cluster, whose nodes have their own"
         require(not own or self.task_gb == 0, "task_gb", self.task_gb, "left out unless --ray is given")
         require(own or self.workers == 0, "workers", self.workers, words)
+
+
+@dataclass(frozen=True)
+class StoreConfig:
+    """Timeouts and retries of object stores."""
+
+    connect_s: float = 5.0
+    """Time to establish a connection, [s]."""
+    stall_s: float = 20.0
+    """Time without data after which a request is retried, [s]. Even a slow line sends something every second."""
+    tries: int = 4
+    """Number of attempts of a request, with growing pauses, before the command fails."""
+
+    @classmethod
+    def of_environment(cls) -> StoreConfig:
+        """TAUEXT_STORE_STALL_S and TAUEXT_STORE_TRIES, where they are set.
+
+        Raises:
+            ConfigError: one of them is no number, or out of range.
+        """
+        try:
+            stall_s = float(os.environ.get("TAUEXT_STORE_STALL_S") or cls.stall_s)
+            tries = int(os.environ.get("TAUEXT_STORE_TRIES") or cls.tries)
+        except ValueError as error:
+            raise ConfigError(f"TAUEXT_STORE_STALL_S and TAUEXT_STORE_TRIES must be numbers ({error})") from error
+        require(1 <= stall_s <= 3600, "TAUEXT_STORE_STALL_S", stall_s, "1 to 3600")
+        require(1 <= tries <= 100, "TAUEXT_STORE_TRIES", tries, "1 to 100")
+        return cls(min(cls.connect_s, stall_s), stall_s, tries)

@@ -5,15 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from tauext.check.before_training import expect_codes
 from tauext.config import CaseName, TrainConfig
 from tauext.data.dataset import ROBOT_FILES, SETS, load_dataset
-from tauext.data.description import load_arm
 from tauext.errors import ConfigError
-from tauext.files.places import SHAPES_FILE, Place, named_files
-from tauext.files.places import place_of as any_place
 from tauext.files.toml_file import (
     REQUIRED,
     Key,
@@ -26,15 +24,17 @@ from tauext.files.toml_file import (
     tables,
     text,
 )
+from tauext.robot.capsules import SHAPES_FILE
 from tauext_fleet.config import CalibrateStage, EvaluateStage
-from tauext_fleet.places import below, files_in, place_of, places_of
+from tauext_fleet.locations import Location, files_in, local_copy, located, locations_of, model_of, named_files
+from tauext_fleet.store import Stored
 from tauext_fleet.task import Contents
 
 # --- Template of a FLEET.toml.
 
 
 EXAMPLE = """\
-# A fleet: which arms there are, and what is done with their recordings. Places count from this file's folder.
+# A fleet: which arms there are, and what is done with their recordings. Paths count from this file's folder.
 # `tauext fleet run FLEET.toml --out fleet` does it; --dry-run prints what it would do, and why.
 
 stages = ["import", "check", "train", "calibrate", "evaluate"]   # or fewer; these are all, and what holds if left out
@@ -52,7 +52,7 @@ arm = "ur10e.toml"          # description of its recordings: `tauext import --ne
 # robot = "ur10e.urdf"      # instead of the dataset's own, as for `tauext train`
 # train.like = "ur10e.prior.json"   # prior from a fleet of this type: a minute of a new arm is enough
 # case = "none"             # model case: exact, mass, com, mass+com, none
-# accept = ["payload-missing"]      # codes of faults to accept
+# accept = ["payload"]      # codes of faults to accept
 
 [[arms]]
 name = "cell-01"            # names its folder and its bundle
@@ -79,7 +79,7 @@ calibrate = { false_alarms = 1.0, in_hours = 24.0 }   # dataset, for another pro
 
 
 if TYPE_CHECKING:
-    from tauext.fit.fleet_prior import FleetPrior
+    from tauext_fleet.like import Like
 
 STAGES = ("import", "check", "train", "calibrate", "evaluate")
 """In their order; docs/reference/files.md lists what each needs."""
@@ -114,24 +114,24 @@ ONE_THREAD = {"threads": "each task has one thread, and --workers sets how many 
 
 @dataclass(frozen=True)
 class Arm:
-    """One arm of a fleet with all of its settings; places are absolute."""
+    """One arm of a fleet with all of its settings; paths are absolute."""
 
     name: str
     type: str
     stages: tuple[str, ...]
     """Its stages, in order."""
-    sources: tuple[Place, ...] = ()
+    sources: tuple[Location, ...] = ()
     """Files to import, described by `description`; none: `dataset` exists already."""
-    description: Place | None = None
+    description: Location | None = None
     """Its arm.toml."""
-    dataset: Place | None = None
-    calibration: Place | None = None
+    dataset: Location | None = None
+    calibration: Location | None = None
     """Dataset whose calibration recordings the stage calibrate uses; None: those of the arm's own dataset."""
-    robot: Place | None = None
+    robot: Location | None = None
     case: CaseName | None = None
     accept: tuple[str, ...] = ()
     train: TrainConfig = TrainConfig()
-    like: Place | None = None
+    like: Location | None = None
     """Fleet prior that its training starts from; None: none."""
     calibrate: CalibrateStage = CalibrateStage()
     evaluate: EvaluateStage = EvaluateStage()
@@ -141,18 +141,17 @@ class Arm:
 class Fleet:
     """The content of FLEET.toml."""
 
-    path: Place
+    path: Path
     arms: tuple[Arm, ...]
 
 
-def load_fleet(path: Place | str) -> Fleet:
-    """Read a FLEET.toml; every key, value and place in it is checked, and no recording is read.
+def load_fleet(path: Path) -> Fleet:
+    """Read a FLEET.toml; every key, value and path in it is checked, and no recording is read.
 
     Raises:
         ConfigError: no such file, not TOML, an unknown key, a value of the wrong type or against its rule, two arms of
             one name, a file that is not there.
     """
-    path = any_place(path)
     content = read_toml(path, "`tauext fleet example` prints one")
     refuse_unknown(path, "", content, (*ANYWHERE, "types", "arms"))
     known = {"types": tables("[types.NAME]", {}), "arms": tables("[[arms]]")}
@@ -166,7 +165,7 @@ def load_fleet(path: Place | str) -> Fleet:
     return Fleet(path, arms)
 
 
-def arm_of(table: Any, number: int, top: Mapping[str, Any], types: Mapping[str, Any], path: Place, base: Place) -> Arm:
+def arm_of(table: Any, number: int, top: Mapping[str, Any], types: Mapping[str, Any], path: Path, base: Path) -> Arm:
     """One arm from its own table, that of its type, and the top-level keys."""
     refuse_unknown(path, f"arm {number}", table, (*OWN, *DATA, *ANYWHERE))
     name, kind = read_table(path, f"arm {number}:", given_of(table, OWN), OWN).values()
@@ -189,7 +188,7 @@ def arm_of(table: Any, number: int, top: Mapping[str, Any], types: Mapping[str, 
     arm = replace(
         arm,
         train=settings_of(TrainConfig, own, f"{where}: [train]", ONE_THREAD),
-        like=None if like is None else place_of(like, base),
+        like=None if like is None else located(like, base),
         calibrate=settings_of(CalibrateStage, settings["calibrate"], f"{where}: [calibrate]", ONE_THREAD),
         evaluate=settings_of(EvaluateStage, settings["evaluate"], f"{where}: [evaluate]", ONE_THREAD),
     )
@@ -197,16 +196,16 @@ def arm_of(table: Any, number: int, top: Mapping[str, Any], types: Mapping[str, 
     return replace(arm, stages=stages_of(keys, arm, calibrates, where))
 
 
-def with_data(arm: Arm, keys: Mapping[str, Any], where: str, base: Place) -> Arm:
+def with_data(arm: Arm, keys: Mapping[str, Any], where: str, base: Path) -> Arm:
     """The arm with its recordings and files, all of which exist."""
-    places = {key: place_of(keys[key], base) for key in ("dataset", "calibration", "robot", "arm") if keys[key]}
-    dataset, calibration, robot, description = map(places.get, ("dataset", "calibration", "robot", "arm"))
+    given = {key: located(keys[key], base) for key in ("dataset", "calibration", "robot", "arm") if keys[key]}
+    dataset, calibration, robot, description = map(given.get, ("dataset", "calibration", "robot", "arm"))
     patterns = keys["sources"]
     if bool(patterns) == (dataset is not None):
         raise ConfigError(f"{where}: give either sources (with arm, their arm.toml) or dataset, and not both")
-    sources: list[Place] = []
+    sources: list[Location] = []
     for pattern in patterns:
-        found = places_of(pattern, base)
+        found = locations_of(pattern, base)
         if not found or not all(one.exists() for one in found):
             raise ConfigError(f"{where}: sources = '{pattern}': there is no such file or folder")
         sources += [one for one in found if one not in sources]
@@ -214,11 +213,11 @@ def with_data(arm: Arm, keys: Mapping[str, Any], where: str, base: Place) -> Arm
     if patterns and description is None:
         raise ConfigError(f"{where}: arm is missing, the arm.toml of its sources; `tauext import --new` writes one")
     try:
-        if description is not None and (model := load_arm(description).model) is not None and not model.is_file():
+        if description is not None and (model := model_of(description)) is not None and not model.is_file():
             raise ConfigError(f"{description}: [robot] model = '{model}': there is no such file")
         for folder in (dataset, calibration):
             if folder is not None:
-                load_dataset(folder)
+                expect_dataset(folder)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error}") from None
     if robot is not None and not robot.is_file():
@@ -226,6 +225,14 @@ def with_data(arm: Arm, keys: Mapping[str, Any], where: str, base: Place) -> Arm
     return replace(
         arm, sources=tuple(sources), description=description, dataset=dataset, calibration=calibration, robot=robot
     )
+
+
+def expect_dataset(folder: Location) -> None:
+    """Raise ConfigError unless it is a dataset; the worker of a stored one checks the rest."""
+    if isinstance(folder, Path):
+        load_dataset(folder)
+    elif not (folder / "split.json").is_file():
+        raise ConfigError(f"{folder}: no dataset is there: it has no split.json; `tauext import` makes one")
 
 
 def stages_of(keys: Mapping[str, Any], arm: Arm, calibrates: bool, where: str) -> tuple[str, ...]:
@@ -241,7 +248,7 @@ def stages_of(keys: Mapping[str, Any], arm: Arm, calibrates: bool, where: str) -
     return tuple(stage for stage in STAGES if stage in wanted and not left_out.get(stage, False))
 
 
-def expect_different(arms: tuple[Arm, ...], path: Place) -> None:
+def expect_different(arms: tuple[Arm, ...], path: Path) -> None:
     """Raise ConfigError where two arms would write to one folder, even on a disk that ignores case."""
     seen: dict[str, str] = {}
     for arm in arms:
@@ -251,19 +258,19 @@ def expect_different(arms: tuple[Arm, ...], path: Place) -> None:
             raise ConfigError(f"{path}: two arms are named {names}; names must differ, capitals aside")
 
 
-def expect_likes(arms: tuple[Arm, ...], path: Place) -> None:
+def expect_likes(arms: tuple[Arm, ...], path: Path) -> None:
     """Raise ConfigError of a fleet prior that is none, or that an arm's recipe cannot take."""
-    from tauext.fit.fleet_prior import load_fleet_prior
-    from tauext.train.fitting import like_settings
+    from tauext_fleet.like import load_like
 
-    priors: dict[Place, FleetPrior] = {}
+    priors: dict[Location, Like] = {}
     for arm in arms:
         if arm.like is None:
             continue
         try:
             if arm.like not in priors:
-                priors[arm.like] = load_fleet_prior(arm.like)
-            like_settings(arm.train, priors[arm.like])
+                with local_copy(arm.like) as prior:
+                    priors[arm.like] = load_like(prior)
+            priors[arm.like].settings(arm.train)
         except ConfigError as error:
             raise ConfigError(f"{path}: arm '{arm.name}': [train] {error}") from None
 
@@ -288,7 +295,7 @@ def merged(tables: list[Any], where: str) -> dict[str, Any]:
 # --- What a stage depends on, by readable names: contents of files, settings, and tasks before it.
 
 
-def files_of(arm: Arm) -> Iterator[Place]:
+def files_of(arm: Arm) -> Iterator[Location]:
     """All files that anything of this arm depends on."""
     yield from source_files(arm).values()
     for name in ("dataset", "calibration"):
@@ -298,39 +305,41 @@ def files_of(arm: Arm) -> Iterator[Place]:
     yield from like_files(arm).values()
 
 
-def source_files(arm: Arm) -> dict[str, Place]:
+def source_files(arm: Arm) -> dict[str, Location]:
     """Input files of an import: sources, description, and the robot file that this names."""
     if arm.description is None:
         return {}
-    found = {"arm.toml": arm.description} | robot_files(load_arm(arm.description).model)
+    found = {"arm.toml": arm.description} | robot_files(model_of(arm.description))
     for source in arm.sources:
-        for file in files_in(source):
-            name = source.name if file == source else f"{source.name}/{below(file, source)}"
+        for below, file in files_in(source).items():
+            name = f"{source.name}/{below}" if below else source.name
             found[f"source {name}" if f"source {name}" not in found else f"source {file}"] = file
     return found
 
 
-def dataset_files(folder: Place, what: str) -> dict[str, Place]:
-    """Split, robot file and recordings of a dataset, each once."""
+def dataset_files(folder: Location, what: str) -> dict[str, Location]:
+    """Split, robot file and recordings of a dataset, each once; of a stored one, all files of the folder."""
+    if isinstance(folder, Stored):
+        return {f"{what} {name}": file for name, file in files_in(folder).items()}
     dataset = load_dataset(folder)
     there = [folder / name for name in ("split.json", *ROBOT_FILES, SHAPES_FILE) if (folder / name).is_file()]
     recordings = [file for set_name in SETS for file in dataset.files(set_name)]
     return {f"{what} {file.name}": file for file in [*there, *recordings]}
 
 
-def like_files(arm: Arm) -> dict[str, Place]:
+def like_files(arm: Arm) -> dict[str, Location]:
     """The fleet prior that its training starts from."""
     return {} if arm.like is None else {"train.like": arm.like}
 
 
-def robot_files(robot: Place | None) -> dict[str, Place]:
+def robot_files(robot: Location | None) -> dict[str, Location]:
     """A robot file, and meshes and includes that it names and that are there; MuJoCo reads masses off them."""
-    found: dict[str, Place] = {}
+    found: dict[str, Location] = {}
     for file in () if robot is None else named_files(robot):
         found[f"robot file {file.name}" if f"robot file {file.name}" not in found else f"robot file {file}"] = file
     return found
 
 
-def digests(files: dict[str, Place], contents: Contents) -> dict[str, str]:
+def digests(files: dict[str, Location], contents: Contents) -> dict[str, str]:
     """The same names with the files' contents."""
     return {name: contents.digest(path) for name, path in files.items()}

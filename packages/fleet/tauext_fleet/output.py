@@ -9,7 +9,8 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from tauext.cli.progress import PrintContext, aligned
+from tauext.cli.progress import PrintContext
+from tauext.progress import aligned
 from tauext_fleet.book import Book, PlannedArm, stage_counts
 from tauext_fleet.fleet_file import STAGES
 from tauext_fleet.run import FleetEnd

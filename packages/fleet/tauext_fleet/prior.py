@@ -6,31 +6,26 @@ import os
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from tauext import _core
 from tauext.config import PriorConfig, TrainConfig
 from tauext.errors import ConfigError, TauextError
-from tauext.files.places import Place
 from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import provenance
-from tauext.fit.coverage import fit_coverage, seen_too
-from tauext.fit.fleet_prior import (
-    ODD,
-    FleetPrior,
-    Hierarchy,
-    block_columns,
-    expect_name,
-    learn_hierarchy,
-    write_fleet_prior,
-)
+from tauext.fit.coverage import fit_coverage
 from tauext.fit.prior_terms import ESTIMATED, own_terms
 from tauext.fit.training_set import Setup, with_presliding
 from tauext.progress import SILENT, Reporter
 from tauext.recipes import FULL_PRIOR
 from tauext.train.fitting import observe
+from tauext_fleet.fleet_prior import FleetPrior, block_columns, expect_name, write_fleet_prior
+from tauext_fleet.hierarchy import Hierarchy, learn_hierarchy
+from tauext_fleet.like import Like, seen_too
 from tauext_fleet.prior_arms import LEAST_ARMS, FleetArm, OwnTerms, job_of, own_terms_of, settings_of
+from tauext_fleet.prior_content import ODD
 from tauext_fleet.prior_evidence import (
     ArmEvidence,
     NewArm,
@@ -153,7 +148,7 @@ LEAST_JUDGED = 3
 
 def make_fleet_prior(
     arms: Sequence[FleetArm],
-    out: Place,
+    out: Path,
     config: TrainConfig = TrainConfig(recipe="prior"),  # noqa: B008
     accept: Sequence[str] = (),
     report: Reporter = SILENT,
@@ -193,7 +188,7 @@ def make_fleet_prior(
         "after_a_minute": after_a_minute(evidence, rest_nm, joints),
     }
     prior = FleetPrior(own[0].type, gain, widths, terms, weight_prior(evidence, found, trust), facts=facts)
-    likes = [replace(prior, weights=replace(one, trust=trust)) for one in without]
+    likes = [Like(replace(prior, weights=replace(one, trust=trust))) for one in without]
     new = new_arms(own, evidence, found, config, likes, report)
     threads = config.threads or os.cpu_count() or 1
     errors = errors_of(new, config, threads) if len(new) >= LEAST_JUDGED else None
@@ -258,7 +253,7 @@ def new_arms(
     evidence: Sequence[ArmEvidence],
     found: Hierarchy,
     config: TrainConfig,
-    likes: Sequence[FleetPrior],
+    likes: Sequence[Like],
     report: Reporter,
 ) -> list[NewArm]:
     """Every arm that is like the others, as if it were new; without those too short to judge, or odd in some joint."""

@@ -8,19 +8,20 @@ from pathlib import Path
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
+from tauext.cli.arguments import local_path
 from tauext.config import PAPER_CASES, TrainConfig
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import first_seconds
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
-from tauext.files.places import Place, place_of
-from tauext.fit.fleet_prior import ArmType, FleetPrior
 from tauext.progress import SILENT, Reporter
 from tauext.robot.model_case import chosen_case
 from tauext.train.data_check import check_data
-from tauext.train.fitting import arm_type, fit_prior, like_settings, observe
+from tauext.train.fitting import fit_prior, observe
 from tauext.train.network import choose_gain
-from tauext.train.preparation import Given, Job, prepare
+from tauext.train.preparation import NOTHING, Given, Job, Start, prepare
+from tauext_fleet.fleet_prior import ArmType
+from tauext_fleet.like import arm_type
 
 LEAST_ARMS = 3
 BUNDLE_AND_DATA = ".tauext:"
@@ -31,8 +32,8 @@ class FleetArm:
     """One arm: its recordings, and the bundle that was trained on them where there is one."""
 
     name: str
-    data: Place
-    bundle: Place | None = None
+    data: Path
+    bundle: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -58,10 +59,10 @@ def fleet_arms(words: Sequence[str]) -> list[FleetArm]:
     Raises:
         ConfigError: fewer than LEAST_ARMS, or one twice.
     """
-    pairs: list[tuple[Place, Place | None]] = []
+    pairs: list[tuple[Path, Path | None]] = []
     for word in words:
         bundle, found, data = word.partition(BUNDLE_AND_DATA)
-        pairs.append((place_of(data), place_of(f"{bundle}.tauext")) if found else (place_of(word), None))
+        pairs.append((Path(data), Path(f"{bundle}.tauext")) if found else (local_path([word]), None))
     folders = [data.resolve() for data, _ in pairs]
     twice = [str(data) for k, data in enumerate(folders) if data in folders[:k]]
     if twice:
@@ -79,7 +80,7 @@ def expect_enough(arms: int) -> None:
         )
 
 
-def distinct(folders: Sequence[Place]) -> list[str]:
+def distinct(folders: Sequence[Path]) -> list[str]:
     """Names of folders: as many of their last parts as make them distinct, without those that all have."""
     most = max(len(folder.parts) for folder in folders)
     for count in range(1, most + 1):
@@ -96,7 +97,7 @@ def job_of(
     arm: FleetArm,
     config: TrainConfig,
     minutes: float | None = None,
-    like: FleetPrior | None = None,
+    start: Start = NOTHING,
     accept: Sequence[str] | None = None,
     report: Reporter = SILENT,
 ) -> Job:
@@ -116,12 +117,12 @@ def job_of(
     if model.no_model:
         raise ConfigError(f"{arm.data}: it has no model, and a fleet prior holds corrections of one; import with one")
     training = dataset.training()
-    given = Given(robot, model, training)
+    given = Given(robot, model, training, start=start)
     if accept is not None:
         check_data(dataset, given, config, accept, report)
-    config = replace(like_settings(config, like), minutes=minutes)
+    config = replace(start.settings(config), minutes=minutes)
     name = Path(f"{arm.name}.tauext")
-    return prepare(given, config, name, report, like)
+    return prepare(given, config, name, report)
 
 
 def own_terms_of(arm: FleetArm, config: TrainConfig, accept: Sequence[str], report: Reporter) -> OwnTerms:

@@ -12,27 +12,21 @@ from tauext.config import AlarmConfig, TrainConfig
 from tauext.data.free_motion import total_s
 from tauext.data.recording import Recording
 from tauext.fit.bundle_writing import error_memory_s
-from tauext.fit.fleet_prior import (
-    MORE_ARMS,
-    Evidence,
-    FleetDays,
-    FleetErrors,
-    FleetPrior,
-    Hierarchy,
-    block_columns,
-    learn_hierarchy,
-)
 from tauext.fit.regression import NormalEquations, Regression
-from tauext.fit.ridge import MapRegression, Regressors, WeightPrior, gather, solved
+from tauext.fit.ridge import Regressors, gather, solved
 from tauext.fit.ties import simplest
 from tauext.fit.training_set import with_presliding
 from tauext.train.error_scale import ErrorRows, Judged, collect_rows, scale_of
 from tauext.train.fitting import fit_prior, observe, put_prior, with_fit
 from tauext.train.held_peaks import Peaks, collect_peaks
-from tauext.train.limits import LEAST_SIZE, scale_settings, sizes, unseen_motion
+from tauext.train.limits import unseen_motion
 from tauext.train.network import assemble
 from tauext.train.promised_limits import LimitsConfig, PromisedLimits, promised_limits
 from tauext.train.supported_limits import SupportedConfig
+from tauext_fleet.fleet_prior import FleetDays, FleetErrors, block_columns
+from tauext_fleet.hierarchy import MORE_ARMS, Evidence, Hierarchy, learn_hierarchy
+from tauext_fleet.like import LEAST_SIZE, Like, scale_settings, sizes
+from tauext_fleet.map_regression import MapRegression, WeightPrior
 from tauext_fleet.prior_arms import OwnTerms, first_minutes, job_of, settings_of
 
 # --- How friction of an arm differs from one recording to the next, over its joints: what a refit may expect of a joint
@@ -272,14 +266,14 @@ class NewArm:
     rest: ErrorRows
 
 
-def new_arm(own: OwnTerms, config: TrainConfig, like: FleetPrior) -> NewArm:
+def new_arm(own: OwnTerms, config: TrainConfig, like: Like) -> NewArm:
     """A training of the arm on its first minute, and the errors of that.
 
     Args:
         config: without torque constants, which the minute has to determine.
         like: prior from the other arms.
     """
-    job = job_of(own.arm, config, minutes=MINUTES, like=like)
+    job = job_of(own.arm, config, minutes=MINUTES, start=like)
     setup = observe(job)
     fit = fit_prior(job, setup, job.motion.uncut)
     assert fit is not None
@@ -291,7 +285,7 @@ def new_arm(own: OwnTerms, config: TrainConfig, like: FleetPrior) -> NewArm:
     _, left_out = unseen_motion(job, bundle, setup, fit)
     margins = job.config.margins
     minute = collect_rows(bundle, left_out, job.threads, margins)
-    rest = collect_rows(bundle, judged_rest(own, config, bundle, like.gain_per_s), job.threads, margins)
+    rest = collect_rows(bundle, judged_rest(own, config, bundle, like.prior.gain_per_s), job.threads, margins)
     return NewArm(own, bundle, minute, rest)
 
 

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Protocol
 
-from tauext.files.copies import at_home
-from tauext.files.places import Place
 from tauext.files.preflight import expect_folder
 from tauext_fleet.book import ARMS, Book, Planned, PlannedArm, plan_fleet
 from tauext_fleet.config import FleetConfig
 from tauext_fleet.fleet_file import Fleet
+from tauext_fleet.locations import Location
+from tauext_fleet.store import Stored, StoreError
 from tauext_fleet.task import Outcome, Task, clean, locked
 from tauext_fleet.workers import Ended, Workers
 
@@ -78,7 +77,7 @@ class Progress:
         return False
 
 
-def run_fleet(fleet: Fleet, out: Place, config: FleetConfig, watcher: Watcher) -> FleetEnd:
+def run_fleet(fleet: Fleet, out: Location, config: FleetConfig, watcher: Watcher) -> FleetEnd:
     """Run all tasks that are not done yet; OUT/fleet.json holds the state of all, after an interruption too.
 
     Tasks are given out in the order in which they become possible, so that all imports come before the first training:
@@ -88,11 +87,14 @@ def run_fleet(fleet: Fleet, out: Place, config: FleetConfig, watcher: Watcher) -
         ConfigError: a folder that cannot be written to, another driver in it, no cluster.
         KeyboardInterrupt: as it came; what was finished is kept.
     """
-    expect_folder(out)
-    out.mkdir(parents=True, exist_ok=True)
+    if isinstance(out, Stored):
+        expect_bucket(out)
+    else:
+        expect_folder(out)
+        out.mkdir(parents=True, exist_ok=True)
     with locked(out):
         for arm in fleet.arms:
-            clean(home_of(out / ARMS / arm.name))
+            clean(out / ARMS / arm.name)
         plan = plan_fleet(fleet, out, watcher.reading)
         book = Book(fleet, plan, out)
         watcher.started(plan)
@@ -105,13 +107,14 @@ def run_fleet(fleet: Fleet, out: Place, config: FleetConfig, watcher: Watcher) -
         finally:
             book.write()
             for arm in fleet.arms:
-                clean(home_of(out / ARMS / arm.name))
+                clean(out / ARMS / arm.name)
     return progress.end
 
 
-def home_of(arm_folder: Place) -> Path:
-    """Where workers of this machine write before they rename or send."""
-    return at_home(arm_folder / "stage").parent
+def expect_bucket(out: Stored) -> None:
+    """Raise StoreError where the bucket does not exist or cannot be reached."""
+    if not Stored(out.bucket, "", out.query).exists():
+        raise StoreError(f"{out}: there is no bucket '{out.root}'; make it, or correct the URL")
 
 
 def work_off(first: Sequence[Task], workers: Workers, progress: Progress, watcher: Watcher) -> None:

@@ -7,10 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tauext.config import EventsConfig, TrainConfig
-from tauext.files.copies import local_folder
-from tauext.files.places import Place
-from tauext.files.places import place_of as any_place
+from tauext_lab.evaluate.config import EventsConfig
+
+from tauext.config import TrainConfig
 from tauext.files.toml_file import settings_of
 from tauext_fleet.config import CalibrateStage, EvaluateStage
 from tauext_fleet.task import Stage
@@ -23,8 +22,8 @@ def import_arm(work: Mapping[str, Any], part: Path) -> None:
     from tauext.data.importing import import_dataset
 
     messages: list[str] = []
-    sources = [local_folder(any_place(source)) for source in work["sources"]]
-    import_dataset(sources, any_place(work["description"]), part / work["name"], "tauext", messages.append)
+    sources = [Path(source) for source in work["sources"]]
+    import_dataset(sources, Path(work["description"]), part / work["name"], "tauext", messages.append)
     (part / "import.txt").write_text("\n".join(messages) + "\n")
 
 
@@ -34,7 +33,7 @@ def check_arm(work: Mapping[str, Any], part: Path) -> str | None:
     from tauext.check.examine import as_files, examine, gather
     from tauext.files.provenance import write_json
 
-    recordings, free, robot = gather((any_place(work["dataset"]),), place(work, "robot"))
+    recordings, free, robot = gather((Path(work["dataset"]),), path_of(work, "robot"))
     diagnosis = examine(recordings, robot, None, free)
     text, content = as_files(diagnosis, (recording.name for recording in recordings), robot is None)
     (part / "check.txt").write_text(text + "\n")
@@ -52,14 +51,15 @@ def check_arm(work: Mapping[str, Any], part: Path) -> str | None:
 def train_arm(work: Mapping[str, Any], part: Path) -> None:
     """The bundle NAME.tauext with the files beside it."""
     from tauext.data.dataset import load_dataset
-    from tauext.fit.fleet_prior import load_fleet_prior
+    from tauext.train.preparation import NOTHING
     from tauext.train.stage import train_bundle
+    from tauext_fleet.like import load_like
 
     config = replace(settings_of(TrainConfig, work["settings"], "train"), threads=1)
-    dataset, out = load_dataset(any_place(work["dataset"])), part / f"{work['name']}.tauext"
-    known = place(work, "like")
-    like = None if known is None else load_fleet_prior(known)
-    train_bundle(dataset, out, work["case"], place(work, "robot"), config, accept=work["accept"], like=like)
+    dataset, out = load_dataset(Path(work["dataset"])), part / f"{work['name']}.tauext"
+    known = path_of(work, "like")
+    start = NOTHING if known is None else load_like(known)
+    train_bundle(dataset, out, work["case"], path_of(work, "robot"), config, accept=work["accept"], start=start)
 
 
 def calibrate_arm(work: Mapping[str, Any], part: Path) -> None:
@@ -68,9 +68,9 @@ def calibrate_arm(work: Mapping[str, Any], part: Path) -> None:
     from tauext.train.calibrate import recalibrate
 
     settings = settings_of(CalibrateStage, work["settings"], "calibrate")
-    dataset, out = load_dataset(any_place(work["dataset"])), part / f"{work['name']}.tauext"
+    dataset, out = load_dataset(Path(work["dataset"])), part / f"{work['name']}.tauext"
     recalibrate(
-        any_place(work["bundle"]),
+        Path(work["bundle"]),
         dataset,
         out,
         settings.alarm,
@@ -88,8 +88,8 @@ def evaluate_arm(work: Mapping[str, Any], part: Path) -> None:
 
     settings = settings_of(EvaluateStage, work["settings"], "evaluate")
     evaluate_bundles(
-        load_dataset(any_place(work["dataset"])),
-        {work["name"]: any_place(work["bundle"])},
+        load_dataset(Path(work["dataset"])),
+        {work["name"]: Path(work["bundle"])},
         part,
         settings.seed,
         threads=1,
@@ -99,8 +99,8 @@ def evaluate_arm(work: Mapping[str, Any], part: Path) -> None:
     )
 
 
-def place(work: Mapping[str, Any], key: str) -> Place | None:
-    return None if work[key] is None else any_place(work[key])
+def path_of(work: Mapping[str, Any], key: str) -> Path | None:
+    return None if work[key] is None else Path(work[key])
 
 
 STAGES: dict[str, Stage] = {

@@ -21,12 +21,11 @@ from uuid import uuid4
 
 import tauext
 from tauext import _core
-from tauext.errors import ConfigError, FaultyDataError, StoreError, TauextError
-from tauext.files.atomic_write import atomic_write
-from tauext.files.copies import at_home, send_folder, version_of
-from tauext.files.places import Place, StoredPlace, is_stored, place_of
-from tauext.files.plain_file import FORMAT, expect_file, json_of, read_text
-from tauext.files.provenance import VERSION, provenance, write_json
+from tauext.errors import ConfigError, FaultyDataError, TauextError
+from tauext.files.plain_file import FORMAT, expect_file, json_of
+from tauext.files.provenance import VERSION, json_text, provenance, write_json
+from tauext_fleet.locations import Location, local_work, located, read_text, scratch, with_urls, write_text
+from tauext_fleet.store import Stored, StoreError
 
 # --- One driver a folder: a second one would delete unfinished output of the first one's workers.
 #
@@ -37,7 +36,7 @@ LOCK = "fleet.lock"
 
 
 @contextmanager
-def locked(out: Place) -> Iterator[None]:
+def locked(out: Location) -> Iterator[None]:
     """Lock the folder for this driver; the lock ends with the process, even a killed one.
 
     Raises:
@@ -48,7 +47,7 @@ def locked(out: Place) -> Iterator[None]:
     except ImportError:  # no such locks on this system
         yield
         return
-    home = at_home(out)
+    home = scratch(out) if isinstance(out, Stored) else out
     home.mkdir(parents=True, exist_ok=True)
     with (home / LOCK).open("a+") as file:
         try:
@@ -71,7 +70,7 @@ AT_A_TIME = 4
 """Files that are read at a time: disks and networks have little more to give."""
 
 
-def sha256_of(path: Place) -> str:
+def sha256_of(path: Path) -> str:
     """SHA-256 of a file, hexadecimal."""
     expect_file(path)
     digest = hashlib.sha256()
@@ -84,7 +83,7 @@ def sha256_of(path: Place) -> str:
 class Contents:
     """SHA-256 of files, remembered between runs by path, size and time of the last change."""
 
-    def __init__(self, memory: Place):
+    def __init__(self, memory: Location):
         """memory: file of known digests; a damaged one is ignored."""
         self._memory = memory
         self._known: dict[str, list] = {}
@@ -94,7 +93,7 @@ class Contents:
         except (OSError, ValueError, TypeError, AttributeError):
             pass
 
-    def read(self, files: Iterable[Place], show: Callable[[int, int], object]) -> None:
+    def read(self, files: Iterable[Location], show: Callable[[int, int], object]) -> None:
         """Read the files that are not hashed yet, some at a time; calls show with the number read and the total."""
         each = dict.fromkeys(files)
         pool = ThreadPoolExecutor(AT_A_TIME)
@@ -104,15 +103,15 @@ class Contents:
         finally:
             pool.shutdown(cancel_futures=True)  # a Ctrl-C waits for the files that are being read, and for no other
 
-    def digest(self, path: Place) -> str:
+    def digest(self, path: Location) -> str:
         """Of one file; of a stored one, what the store marks its content by.
 
         Raises:
             ConfigError: it cannot be read.
         """
         try:
-            if is_stored(path):
-                return version_of(path)
+            if isinstance(path, Stored):
+                return path.version()
             status = path.stat()
             size, time_ns, digest = self._known.get(str(path), (None, None, ""))
             if (size, time_ns) != (status.st_size, status.st_mtime_ns):
@@ -124,7 +123,7 @@ class Contents:
 
     def keep(self) -> None:
         """Save the digests for the next run."""
-        write_json(dict(sorted(self._known.items())), self._memory)
+        write_text(self._memory, json_text(dict(sorted(self._known.items()))))
 
 
 def digest_of(content: object) -> str:
@@ -138,7 +137,8 @@ def digest_of(content: object) -> str:
 COUNTED = ("files", "robot", "data", "bundle", "check", "fit", "train", "evaluate")
 """Packages of tauext whose code decides a task's output, beside its root modules."""
 MORE_FILES = ("monitor/changes.py", "monitor/touch_place.py")
-OWN_FILES = ("config.py", "stages.py", "task.py")
+FOR_LIKE = ("expected_friction.py", "fleet_prior.py", "hierarchy.py", "like.py", "map_regression.py")
+OWN_FILES = ("config.py", "locations.py", "stages.py", "store.py", "task.py", *FOR_LIKE)
 """Of this package."""
 ROOTS = Path(tauext.__file__).parent, Path(__file__).parent
 """Of tauext, and of this package."""
@@ -185,7 +185,7 @@ class Task:
     inputs: dict[str, str]
     """All that the output depends on, by readable names: digests of contents, settings, hashes of earlier tasks."""
     work: dict[str, Any] = field(default_factory=dict)
-    """Arguments of the stage: places and settings. The content of a place is an input, its path is not."""
+    """Arguments of the stage: locations and settings. The content of a location is an input, its name is not."""
     build: str = field(default_factory=build)
     """Build of the tauext that planned it."""
 
@@ -220,13 +220,13 @@ class Marker:
     refused: str | None
     seconds: float
 
-    def lacks(self, folder: Place) -> str | None:
+    def lacks(self, folder: Location) -> str | None:
         """The first output that is missing or has another size; None: all exist."""
         there = sizes(folder, self.outputs)
         return next((name for name, entry in self.outputs.items() if there.get(name) != entry["bytes"]), None)
 
 
-def marker_of(folder: Place) -> Marker | None:
+def marker_of(folder: Location) -> Marker | None:
     """The marker in the folder; None: missing or incomplete."""
     try:
         content = json_of(read_text(folder / MARKER))
@@ -242,7 +242,7 @@ def marker_of(folder: Place) -> Marker | None:
 
 def finished(task: Task) -> Outcome | None:
     """How it ended, where it was done already; None: it is to be done."""
-    folder = place_of(task.folder)
+    folder = located(task.folder)
     marker = marker_of(folder)
     if marker is None or marker.hash != task.hash or marker.lacks(folder) is not None:
         return None
@@ -259,35 +259,39 @@ def run_task(task: Task, stages: Mapping[str, Stage]) -> Outcome:
     """Run the task unless it is done; any error is a failed outcome with its reason on one line.
 
     The output is written to a folder of its own beside the final one and renamed: a killed process leaves no partial
-    output. For a store it is written on this machine and sent, its marker last. If it fails, STAGE.failed.txt beside it
+    output. What the stage reads from a store is downloaded first; output for a store is written on this machine and
+    uploaded, its marker last. If it fails, STAGE.failed.txt beside it
     holds the full reason.
     """
     if task.build != build():
         return Outcome("failed", f"this worker has tauext {build()}, and the fleet is run by {task.build}")
     if (outcome := finished(task)) is not None:
         return outcome
-    folder = place_of(task.folder)
+    folder = located(task.folder)
     failure_file = folder.with_name(f"{task.stage}.failed.txt")
-    part = at_home(folder).with_name(f".{task.stage}.part-{socket.gethostname()}-{os.getpid()}-{uuid4().hex[:8]}")
+    name = f".{task.stage}.part-{socket.gethostname()}-{os.getpid()}-{uuid4().hex[:8]}"
+    here = scratch(folder.parent)
+    part, inputs = (folder.parent if isinstance(folder, Path) else here) / name, here / f"{name}-inputs"
     started = time.monotonic()
     try:
         part.mkdir(parents=True)
         with warnings.catch_warnings():
             # Overflows are found where the number is checked; the interpreter's warnings are not shown.
             warnings.simplefilter("ignore", RuntimeWarning)
-            refused = stages[task.stage](task.work, part)
+            refused = stages[task.stage](local_work(task.work, inputs), part)
         marker = mark(task, part, refused, time.monotonic() - started)
         publish(part, task)
         if failure_file.is_file():
             failure_file.unlink(missing_ok=True)
         return ended(marker)
     except Exception as error:
-        reason, block = (text.replace(str(part), str(folder)) for text in reason_and_report(error))
-        with suppress(OSError, StoreError), atomic_write(failure_file) as whole:  # the reason itself is reported
-            whole.write_text(block + "\n")
+        reason, block = (with_urls(one.replace(str(part), str(folder)), inputs) for one in reason_and_report(error))
+        with suppress(OSError, StoreError):  # the reason itself is reported
+            write_text(failure_file, block + "\n")
         return Outcome("failed", reason, time.monotonic() - started)
     finally:
         shutil.rmtree(part, ignore_errors=True)
+        shutil.rmtree(inputs, ignore_errors=True)
 
 
 def mark(task: Task, part: Path, refused: str | None, seconds: float) -> Marker:
@@ -311,10 +315,10 @@ def publish(part: Path, task: Task) -> None:
     Raises:
         OSError: it cannot be renamed.
     """
-    folder = place_of(task.folder)
-    if isinstance(folder, StoredPlace):
+    folder = located(task.folder)
+    if isinstance(folder, Stored):
         if finished(task) is None:
-            send_over(part, folder)
+            upload_over(part, folder)
         return
     old = part.with_name(part.name.replace(".part-", ".old-"))
     try:
@@ -328,20 +332,21 @@ def publish(part: Path, task: Task) -> None:
         shutil.rmtree(old, ignore_errors=True)
 
 
-def send_over(part: Path, folder: StoredPlace) -> None:
-    """Replace a stored folder: the old marker is deleted first, and the new one is sent last."""
-    there = [file for file in folder.rglob("*") if file.is_file()]
-    for file in sorted(there, key=lambda file: file.name != MARKER):
-        if file.name == MARKER or not (part / file.relative_to(folder)).is_file():
-            file.unlink(missing_ok=True)
-    send_folder(part, folder)
+def upload_over(part: Path, folder: Stored) -> None:
+    """Replace a stored folder: the old marker is deleted first, and the new one is uploaded last."""
+    files = {path.relative_to(part).as_posix(): path for path in part.rglob("*") if path.is_file()}
+    (folder / MARKER).unlink(missing_ok=True)
+    for name in folder.files():
+        if name not in files:
+            (folder / name).unlink(missing_ok=True)
+    for name in sorted(files, key=lambda name: (name == MARKER, name)):
+        (folder / name).upload(files[name])
 
 
-def sizes(folder: Place, names: Iterable[str]) -> dict[str, int]:
+def sizes(folder: Location, names: Iterable[str]) -> dict[str, int]:
     """Sizes of those of these files that exist, [bytes]; of a store by one listing."""
-    if isinstance(folder, StoredPlace):
-        files = (file for file in folder.rglob("*") if file.is_file())
-        return {file.relative_to(folder).as_posix(): file.stat().st_size for file in files}
+    if isinstance(folder, Stored):
+        return {name: size for name, (size, _) in folder.files().items()}
     found = {}
     for name in names:
         with suppress(OSError):
@@ -373,10 +378,11 @@ def one_line(text: str) -> str:
     return line if len(line) <= LONGEST_REASON else f"{line[:LONGEST_REASON]} ..."
 
 
-def clean(arm_folder: Path) -> None:
+def clean(arm_folder: Location) -> None:
     """Remove leftovers of killed workers of an arm; no other worker may be active there."""
-    for pattern in (".*.part-*", ".*.old-*"):
-        for left in arm_folder.glob(pattern):
+    shutil.rmtree(scratch(arm_folder), ignore_errors=True)
+    if isinstance(arm_folder, Path):
+        for left in (*arm_folder.glob(".*.part-*"), *arm_folder.glob(".*.old-*")):
             shutil.rmtree(left, ignore_errors=True)
 
 

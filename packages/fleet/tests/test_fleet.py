@@ -277,7 +277,7 @@ def test_a_wrong_fleet_file_gets_one_line_and_nothing_runs(place, capsys, text, 
 
 
 def test_a_pattern_that_fits_the_whole_disk_is_refused(place, capsys, monkeypatch):
-    monkeypatch.setattr("tauext_fleet.places.MOST_FOUND", 1000)
+    monkeypatch.setattr("tauext_fleet.locations.MOST_FOUND", 1000)
     text = '[[arms]]\nname = "a"\nsources = ["/**"]\narm = "arm.toml"\n'
     assert main(["fleet", "run", str(write_fleet(place, text)), "--out", str(place / "out")]) == 2
     assert "'/**' fits more than 1,000 files and folders; name a folder below" in capsys.readouterr().err

@@ -11,8 +11,11 @@ from made_fleets import FRICTION, QUICKER, fleet, run_here, write_fleet
 from made_planar import CONFIG, dataset, moving
 from tauext_fleet.book import plan_fleet
 from tauext_fleet.fleet_file import load_fleet
+from tauext_fleet.fleet_prior import content, load_fleet_prior, write_fleet_prior
+from tauext_fleet.like import Like, load_like, scale_settings
 from tauext_fleet.prior import make_fleet_prior
 from tauext_fleet.prior_arms import distinct, fleet_arms, own_terms_of
+from tauext_fleet.prior_content import table
 from tauext_fleet.prior_evidence import factor_of
 from tauext_fleet.stages import train_arm
 
@@ -21,9 +24,8 @@ from tauext.cli import main
 from tauext.data.dataset import load_dataset
 from tauext.errors import ConfigError
 from tauext.files.toml_file import plain
-from tauext.fit.fleet_prior import content, load_fleet_prior, table, write_fleet_prior
 from tauext.progress import SILENT
-from tauext.train.limits import scale_settings
+from tauext.train.preparation import NOTHING
 from tauext.train.stage import train_bundle
 from tauext.train.supported_limits import SupportedConfig
 
@@ -47,10 +49,10 @@ def new(made, tmp_path_factory) -> dict[str, _core.Bundle]:
     """A new arm trained on seconds of motion, with the fleet's prior and without."""
     folder = tmp_path_factory.mktemp("new")
     data = load_dataset(dataset(folder / "data", moving(70, SECONDS, (0.75, 1.15))))
-    like = load_fleet_prior(made[0])
+    like = load_like(made[0])
     return {
-        name: train_bundle(data, folder / f"{name}.tauext", config=CONFIG, check=False, like=known)
-        for name, known in (("like", like), ("alone", None))
+        name: train_bundle(data, folder / f"{name}.tauext", config=CONFIG, check=False, start=known)
+        for name, known in (("like", like), ("alone", NOTHING))
     }
 
 
@@ -63,7 +65,7 @@ def test_links_can_be_whichever_ridge_rounding_chooses(made, tmp_path, monkeypat
     prior = tmp_path / "planar.prior.json"
     make_fleet_prior(fleet_arms([str(one) for one in made[1]]), prior, CONFIG)
     data = load_dataset(dataset(tmp_path / "data", moving(70, SECONDS, (0.75, 1.15))))
-    bundle = train_bundle(data, tmp_path / "new.tauext", config=CONFIG, check=False, like=load_fleet_prior(prior))
+    bundle = train_bundle(data, tmp_path / "new.tauext", config=CONFIG, check=False, start=load_like(prior))
     assert bundle.prior.corrected_links and all(link.rotor_inertia >= 0 for link in bundle.prior.corrected_links)
 
 
@@ -154,7 +156,7 @@ def test_a_prior_of_another_type_is_refused_in_one_line(made, tmp_path, changes,
     other = replace(like, type=replace(like.type, **changes))
     data = load_dataset(dataset(tmp_path / "data", moving(70, SECONDS, (1.0, 1.0))))
     with pytest.raises(ConfigError, match=f": {says} = .* must be .* as of the fleet prior"):
-        train_bundle(data, tmp_path / "no.tauext", config=CONFIG, check=False, like=other)
+        train_bundle(data, tmp_path / "no.tauext", config=CONFIG, check=False, start=Like(other))
     assert not (tmp_path / "no.tauext").exists()
 
 
@@ -199,7 +201,7 @@ def test_recipes_without_such_a_prior_refuse_it(made, tmp_path):
     data = load_dataset(dataset(tmp_path / "data", moving(70, SECONDS, (1.0, 1.0))))
     with pytest.raises(ConfigError, match="recipe = friction must be tauext or prior"):
         config = replace(CONFIG, recipe="friction", observer=replace(CONFIG.observer, gain_per_s=None))
-        train_bundle(data, tmp_path / "no.tauext", config=config, check=False, like=load_fleet_prior(made[0]))
+        train_bundle(data, tmp_path / "no.tauext", config=config, check=False, start=load_like(made[0]))
 
 
 def test_too_few_arms_or_one_twice_are_refused(made, tmp_path, capsys):
@@ -301,10 +303,10 @@ def test_arms_are_named_by_what_tells_their_folders_apart():
 
 
 def test_from_minutes_enough_on_an_arms_limits_follow_from_its_own_errors(made, tmp_path, monkeypatch):
-    monkeypatch.setattr("tauext.train.limits.ENOUGH_S", SECONDS / 2)
+    monkeypatch.setattr("tauext_fleet.like.ENOUGH_S", SECONDS / 2)
     data = load_dataset(dataset(tmp_path / "data", moving(70, SECONDS, (0.75, 1.15))))
     like = load_fleet_prior(made[0])
-    bundle = train_bundle(data, tmp_path / "own.tauext", config=CONFIG, check=False, like=like)
+    bundle = train_bundle(data, tmp_path / "own.tauext", config=CONFIG, check=False, start=Like(like))
     limits = json.loads(bundle.provenance)["limits"]
     assert "like" not in limits and limits["minutes_factor"] == SupportedConfig.unpromised_factor
 

@@ -6,11 +6,10 @@ import pytest
 from made_fleets import workers_here
 from made_planar import dataset, moving
 from made_s3 import upload
-from tauext_fleet.places import fits, places_of
+from tauext_fleet.locations import fits, locations_of
 from tauext_fleet.stages import STAGES
 
 from tauext.cli import main
-from tauext.files.places import place_of
 
 
 @pytest.fixture(scope="module")
@@ -32,6 +31,10 @@ def test_a_fleet_reads_from_a_store_and_sees_what_changed(s3, folder, tmp_path, 
     )
     command = ("fleet", "run", tmp_path / "fleet.toml", "--out", tmp_path / "out", "--workers", 1)
     assert run(*command) == 0 and "1 tasks were done now" in capsys.readouterr().out
+    alone = tmp_path / "one.tauext"
+    assert run("train", "--data", folder, "--out", alone, "--recipe", "friction", "--threads", 1) == 0
+    assert (tmp_path / "out/arms/one/train/one.tauext").read_bytes() == alone.read_bytes()
+    assert not list((tmp_path / "cache/tauext/fleets").glob("*/*"))
     assert run(*command) == 0 and "0 tasks were done now" in capsys.readouterr().out
     s3.put("data/free-0.parquet", s3.objects["data/free-1.parquet"].content)
     assert run(*command, "--dry-run") == 0
@@ -75,8 +78,8 @@ def test_a_fleet_writes_to_a_store_what_it_writes_to_a_disk(s3, folder, tmp_path
 def test_patterns_of_sources_fit_in_a_store(s3):
     for key in ("bags/a/1.mcap", "bags/a/2.mcap", "bags/b/deep/3.mcap", "bags/b/x.txt"):
         s3.put(key, b"x")
-    found = [str(place) for place in places_of("bags/*/*.mcap", place_of("s3://arms"))]
+    found = [str(one) for one in locations_of("s3://arms/bags/*/*.mcap", Path("/"))]
     assert found == ["s3://arms/bags/a/1.mcap", "s3://arms/bags/a/2.mcap"]
-    assert len(places_of("s3://arms/bags/**/*.mcap", Path("/"))) == 3
-    assert [place.name for place in places_of("s3://arms/bags/*", Path("/"))] == ["a", "b"]
+    assert len(locations_of("s3://arms/bags/**/*.mcap", Path("/"))) == 3
+    assert [one.name for one in locations_of("s3://arms/bags/*", Path("/"))] == ["a", "b"]
     assert fits(("a", "b", "c"), ("**", "c")) and not fits(("a", "b"), ("a",))

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from made_fleets import FRICTION
 from made_planar import CONFIG, dataset, moving
+from tauext_fleet.fleet_prior import load_fleet_prior
+from tauext_fleet.like import Like, load_like
 from tauext_fleet.prior import make_fleet_prior
 from tauext_fleet.prior_arms import fleet_arms
 from tauext_fleet.prior_evidence import fleet_days
@@ -15,7 +17,6 @@ from tauext.bundle.bundle_file import load_bundle
 from tauext.cli import main
 from tauext.data.dataset import load_dataset
 from tauext.errors import ConfigError, TrainingError
-from tauext.fit.fleet_prior import load_fleet_prior
 from tauext.train.refit import refit_recordings
 from tauext.train.stage import train_bundle
 
@@ -75,10 +76,10 @@ def test_show_says_how_days_differ(made, capsys):
 def test_a_prior_that_knows_no_days_is_refused(made):
     prior = replace(load_fleet_prior(made[0]), days=None)
     with pytest.raises(ConfigError, match="has differences between arms, not between days"):
-        refit_recordings(load_bundle(made[1]), [moving(91, 30.0, (1.0, 1.0))], like=prior)
+        refit_recordings(load_bundle(made[1]), [moving(91, 30.0, (1.0, 1.0))], like=Like(prior))
     other = replace(prior, type=replace(prior.type, joints=("a", "b")))
     with pytest.raises(ConfigError, match="joints = .a, b. of the fleet prior must be .shoulder, elbow."):
-        refit_recordings(load_bundle(made[1]), [moving(91, 30.0, (1.0, 1.0))], like=other)
+        refit_recordings(load_bundle(made[1]), [moving(91, 30.0, (1.0, 1.0))], like=Like(other))
 
 
 def test_refit_with_a_fleet_names_it(made, tmp_path, capsys):
@@ -96,4 +97,4 @@ def test_refit_with_a_fleet_names_it(made, tmp_path, capsys):
 
 def test_the_core_refuses_too_little_motion_with_a_fleet_too(made):
     with pytest.raises(TrainingError, match="10 s of motion"):
-        refit_recordings(load_bundle(made[1]), [moving(91, 5.0, (1.0, 1.0))], like=load_fleet_prior(made[0]))
+        refit_recordings(load_bundle(made[1]), [moving(91, 5.0, (1.0, 1.0))], like=load_like(made[0]))

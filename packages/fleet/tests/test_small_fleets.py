@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from small_datasets import Ending, Small, ended, train
+from tauext_fleet.like import load_like
 from tauext_fleet.prior import make_fleet_prior
 from tauext_fleet.prior_arms import fleet_arms
 from test_small_datasets import expect_sound, number
@@ -25,7 +26,7 @@ def fleet_endings(number: int, folder: Path) -> Iterator[Ending]:
     yield ended(small, "fleet prior", made)
     if prior.is_file():
         out = folder / "like.tauext"
-        yield ended(small, "train --like", lambda: train(small, arms[3], out, "prior", tuple(CODES), prior))
+        yield ended(small, "train --like", lambda: train(small, arms[3], out, "prior", tuple(CODES), load_like(prior)))
 
 
 ARMS = ["one joint", "one upright joint", "crossed", "wrong masses", "parallel", "weightless links"]

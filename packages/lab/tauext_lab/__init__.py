@@ -1,7 +1,7 @@
 """The researcher's bench of tauext: simulated arms, evaluation, baselines, reports and the paper's experiment.
 
-A package of its own, found by its entry points. In Python: `evaluate_bundles` measures bundles on a dataset, and
-`write_report` draws what it found.
+A package of its own, found by its entry points. In Python: `evaluate_bundles` measures bundles on a dataset,
+`write_report` draws what it found, and `load_network` reads a network of PyTorch for `tauext.train_bundle`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ REPRODUCE = Command(
 )
 """The commands, found by their entry points."""
 
-_WHERE = {"evaluate_bundles": "evaluate.results_folder", "write_report": "report.page"}
+_WHERE = {"evaluate_bundles": "evaluate.results_folder", "write_report": "report.page", "load_network": "own_network"}
 
 
 def __getattr__(name: str) -> object:

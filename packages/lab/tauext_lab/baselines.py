@@ -9,18 +9,30 @@ from tauext.check.before_training import expect_codes
 from tauext.config import PAPER_CASES, CaseName, LimitsKind, TrainConfig
 from tauext.data.dataset import Dataset
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.progress import SILENT, Reporter
-from tauext.recipes import RECIPES, baselines
+from tauext.recipes import baselines, recipe_of
 from tauext.robot.model_case import chosen_case
 from tauext.train.data_check import check_data
 from tauext.train.preparation import Given, finished, why_impossible
 from tauext.train.stage import train_on_recordings
 
 
+def chosen_baselines(names: Collection[str] | None, skip: Collection[str]) -> dict[str, str]:
+    """Recipes of these baselines by name, None: of all, without those to skip.
+
+    Raises:
+        ConfigError: an unknown name.
+    """
+    known = baselines()
+    for name in (*(names or ()), *skip):
+        if name not in known:
+            raise ConfigError(f"baseline '{name}' does not exist; they are {', '.join(known)}")
+    return {name: recipe for name, recipe in known.items() if name not in skip and (names is None or name in names)}
+
+
 def train_baselines(
     dataset: Dataset,
-    robot: Place | None,
+    robot: Path | None,
     case_name: CaseName | None,
     folder: Path,
     seed: int,
@@ -47,10 +59,7 @@ def train_baselines(
         ConfigError: an unknown name, a bundle with other settings in the folder, no training recording, or a case that
             needs a model that the dataset lacks.
     """
-    known = baselines()
-    for name in (*(names or ()), *skip):
-        if name not in known:
-            raise ConfigError(f"baseline '{name}' does not exist; they are {', '.join(known)}")
+    chosen = chosen_baselines(names, skip)
     expect_codes(accept)
     robot_file = dataset.robot_file(robot)
     case_name, note = chosen_case(case_name, robot_file)
@@ -59,10 +68,8 @@ def train_baselines(
     case, calibration = PAPER_CASES[case_name], dataset.stretches("calibration")
     bundles: dict[str, Path] = {}
     missing: dict[str, TrainConfig] = {}
-    for name, recipe in known.items():
-        if name in skip or (names is not None and name not in names):
-            continue
-        if impossible := why_impossible(RECIPES[recipe], case):
+    for name, recipe in chosen.items():
+        if impossible := why_impossible(recipe_of(recipe), case):
             report.say(f"{name} is left out: {impossible}")
             continue
         bundles[name] = folder / f"{name}.tauext"

@@ -3,40 +3,36 @@
 from __future__ import annotations
 
 import math
-import re
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from tauext.cli.arguments import AcceptArg, print_replaced
 from tauext.cli.commands import folders_like, loaded
-from tauext.cli.place_argument import AcceptArg, PlaceArg, print_replaced
 from tauext.cli.progress import ProgressBar, Terminal
-from tauext.config import CaseName, EventsConfig, require, require_seed, require_threads
+from tauext.config import CaseName, require, require_seed, require_threads
 from tauext.errors import ConfigError
-from tauext.files.copies import local_beside, local_folder, staged
 from tauext.files.kind import why_no_bundle
-from tauext.files.places import Place
 from tauext.files.preflight import expect_folder
 from tauext.recipes import baselines as known_baselines
+from tauext_lab.evaluate.config import EventsConfig
 
 # --- The command as typed, for what it writes.
 
 
-QUERY = re.compile(r"((?:^|[=:])(?:s3|gs|abfss?)://[^?]*)\?.*", re.I)
-
-
 def command_line() -> str:
-    """The command as typed, without the path of the program and the queries of URLs."""
-    return " ".join(["tauext", *(QUERY.sub(r"\1", word) for word in sys.argv[1:])])
+    """The command as typed, without the path of the program."""
+    return " ".join(["tauext", *sys.argv[1:]])
 
 
 # --- `tauext simulate`: a dataset from the virtual rig.
 
 
 def simulate(
-    out: PlaceArg,
+    out: Path,
     minutes: float = 90.0,
     collision_recordings: int = 10,
     seed: int = 0,
@@ -68,9 +64,9 @@ def simulate(
     require(collision_recordings >= 0, "collision_recordings", collision_recordings, ">= 0")
     require(12 <= encoder_bits <= 24, "encoder_bits", encoder_bits, "12 to 24")
     require(0.1 <= friction <= 10, "friction", friction, "0.1 to 10")
-    with staged(out) as folder, ProgressBar("simulate") as bar:
+    with ProgressBar("simulate") as bar:
         simulate_dataset(
-            folder,
+            out,
             changed_rig(encoder_bits, friction),
             seed,
             minutes,
@@ -89,13 +85,13 @@ METHODS = f"methods of --baselines to train and compare; default all: {', '.join
 
 
 def evaluate(
-    data: PlaceArg,
-    out: PlaceArg,
-    bundles: tuple[PlaceArg, ...] = (),
+    data: Path,
+    out: Path,
+    bundles: tuple[Path, ...] = (),
     baselines: bool = False,
     methods: Annotated[tuple[str, ...], tyro.conf.arg(help=METHODS)] = (),
     case: CaseName | None = None,
-    robot: PlaceArg | None = None,
+    robot: Path | None = None,
     seed: int = 0,
     threads: int = 0,
     keep_free_estimates: int = 20,
@@ -129,53 +125,56 @@ def evaluate(
     require_threads(threads)
     require(keep_free_estimates >= 0, "keep_free_estimates", keep_free_estimates, ">= 0")
     expect_folder(out)
+    expect_something(bundles, baselines, methods)
+    print_replaced(out / "results.json")
+    dataset = load_dataset(data)
+    paths = list(bundles)
+    if baselines:
+        from tauext_lab.baselines import train_baselines
+
+        own, kinds = out / "bundles", methods or None
+        trained = train_baselines(dataset, robot, case, own, seed, threads, kinds, (), Terminal(), accept)
+        paths = [*trained.values(), *paths]
+    evaluate_bundles(
+        dataset, by_names(paths), out, seed, threads, command_line(), keep_free_estimates=keep_free_estimates,
+        sanity=baselines, events=events, report=Terminal(), inject=inject,
+    )  # fmt: skip
+    print(out / "results.json")
+
+
+def expect_something(bundles: Sequence[Path], baselines: bool, methods: Sequence[str]) -> None:
+    """Raise ConfigError unless there is something to evaluate; before baselines are trained for minutes."""
     for path in bundles:
-        if not path.is_file():  # before baselines are trained for minutes
+        if not path.is_file():
             raise ConfigError(f"{path}: {why_no_bundle(path) or 'is no file'}")
     if methods and not baselines:
         raise ConfigError("--methods chooses among the baselines; give --baselines, too")
     if not bundles and not baselines:
         raise ConfigError("there is nothing to evaluate: give --bundles, or --baselines to train every known method")
-    print_replaced(out / "results.json")
-    dataset = load_dataset(data)
-    with staged(out) as folder:
-        paths = list(bundles)
-        if baselines:
-            from tauext_lab.baselines import train_baselines
 
-            own, kinds = folder / "bundles", methods or None
-            trained = train_baselines(dataset, robot, case, own, seed, threads, kinds, (), Terminal(), accept)
-            paths = [*trained.values(), *paths]
-        names = [path.stem for path in paths]
-        if len(set(names)) < len(names):
-            raise ConfigError(f"bundles must differ in their file names, not only in their folders: {', '.join(names)}")
-        named = dict(zip(names, paths, strict=True))
-        evaluate_bundles(
-            dataset,
-            named,
-            folder,
-            seed,
-            threads,
-            command_line(),
-            keep_free_estimates=keep_free_estimates,
-            sanity=baselines,
-            events=events,
-            report=Terminal(),
-            inject=inject,
-        )
-    print(out / "results.json")
+
+def by_names(paths: Sequence[Path]) -> dict[str, Path]:
+    """Bundles by their file names.
+
+    Raises:
+        ConfigError: two have the same.
+    """
+    names = [path.stem for path in paths]
+    if len(set(names)) < len(names):
+        raise ConfigError(f"bundles must differ in their file names, not only in their folders: {', '.join(names)}")
+    return dict(zip(names, paths, strict=True))
 
 
 # --- `tauext report`: figures and one self-contained page from results, or of one flight.
 
 
 def report(
-    folders: tyro.conf.Positional[tuple[PlaceArg, ...]] = (),
+    folders: tyro.conf.Positional[tuple[Path, ...]] = (),
     *,
-    out: PlaceArg,
-    results: PlaceArg | None = None,
-    data: PlaceArg | None = None,
-    flight: PlaceArg | None = None,
+    out: Path,
+    results: Path | None = None,
+    data: Path | None = None,
+    flight: Path | None = None,
     page_mb: float = 9.5,
     trace_methods: tuple[str, ...] = (),
 ) -> None:
@@ -195,7 +194,6 @@ def report(
         trace_methods: names of the bundles whose traces the page holds; default: the best five.
     """
     from tauext.data.dataset import load_dataset
-    from tauext_lab.report.flight import write_flight_report, write_flights_report
     from tauext_lab.report.page import write_report
 
     if folders:
@@ -212,22 +210,10 @@ def report(
             raise ConfigError("give either --results and --data, or --flight; not both")
         if trace_methods:
             raise ConfigError("--trace-methods chooses among the methods of --results; a flight has one")
-        there = {page.name for page in out.glob("*.html")}
-        with staged(out, fresh=True) as folder:
-            source = local_flight(flight)
-            if source.is_dir():
-                with Terminal().progress("draw the flights") as show:
-                    page = out / write_flights_report(source, folder, page_mb, show).name
-            else:
-                page = out / write_flight_report(source, folder, page_mb).name
-        if page.name in there:
-            print(f"tauext: {page} was there already and is replaced", file=sys.stderr)
-        print(page)
+        report_flight(flight, out, page_mb)
     elif results is not None and data is not None:
         print_replaced(out / "report.html")
-        with staged(out, fresh=True) as folder:
-            page = write_report(local_folder(results), load_dataset(data).folder, folder, page_mb, trace_methods)
-        print(out / page.name)
+        print(write_report(results, load_dataset(data).folder, out, page_mb, trace_methods))
     else:
         missing = "--results" if results is None else "--data"
         raise ConfigError(
@@ -236,6 +222,16 @@ def report(
         )
 
 
-def local_flight(flight: Place) -> Path:
-    """A flight with what stands beside it, or a folder of them, on this machine."""
-    return local_folder(flight) if flight.is_dir() else local_beside(flight)
+def report_flight(flight: Path, out: Path, page_mb: float) -> None:
+    """Draw a flight, or each one of a folder and the page that lists them."""
+    from tauext_lab.report.flight import write_flight_report, write_flights_report
+
+    there = {page.name for page in out.glob("*.html")}
+    if flight.is_dir():
+        with Terminal().progress("draw the flights") as show:
+            page = write_flights_report(flight, out, page_mb, show)
+    else:
+        page = write_flight_report(flight, out, page_mb)
+    if page.name in there:
+        print(f"tauext: {page} was there already and is replaced", file=sys.stderr)
+    print(page)

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from tauext.cli.place_argument import PlaceArg, print_replaced
+from tauext.cli.arguments import print_replaced
 from tauext.cli.progress import Terminal
 from tauext.config import PAPER_CASES, CaseName, ModelCase, TrainConfig, require_seed
-from tauext.files.copies import staged
 from tauext.files.preflight import expect_folder
 from tauext.progress import SILENT, Reporter, Show, WallTimes
 from tauext_lab.commands import command_line
+
+if TYPE_CHECKING:
+    from tauext.data.dataset import Dataset
 
 
 @dataclass(frozen=True)
@@ -91,9 +93,7 @@ def reproduce_paper(
     """
     from tauext.data.dataset import load_dataset
     from tauext.files.provenance import write_json
-    from tauext.train.data_check import check_data
-    from tauext.train.preparation import Given, finished
-    from tauext.train.stage import train_on_recordings
+    from tauext.train.preparation import finished
     from tauext_lab.evaluate.results_folder import evaluate_bundles
     from tauext_lab.report.page import write_report
     from tauext_lab.sim.collect import simulate_dataset
@@ -112,29 +112,9 @@ def reproduce_paper(
     dataset = load_dataset(data)
     jobs = trainings(scale, cases, seed)
     bundles = {name: out / "bundles" / f"{name}.tauext" for name in jobs}
-    missing = [name for name, (case, config) in jobs.items() if not finished(bundles[name], case, config)]
+    missing = {name: job for name, job in jobs.items() if not finished(bundles[name], *job)}
     if missing:
-        robot = dataset.robot_file(None)
-        with times.phase("read"):
-            training, validation = dataset.recordings("train"), dataset.recordings("validation")
-        # One check for all cases with a model, and one without: findings about the model are not those of both.
-        kinds = {case.no_model: (case, config) for case, config in (jobs[name] for name in missing)}
-        with times.phase("check"):
-            checked = {
-                no_model: check_data(dataset, Given(robot, case, training, validation), config, (), report)
-                for no_model, (case, config) in kinds.items()
-            }
-        cores = os.cpu_count() or 1
-        threads = max(1, cores // len(missing))
-
-        def train(name: str, report: Reporter) -> None:
-            case, config = jobs[name]
-            given = Given(robot, case, training, validation)
-            settings, found = replace(config, threads=threads), checked[case.no_model]
-            train_on_recordings(given, settings, bundles[name], report=report, checked=found)
-
-        with times.phase("train"):
-            together(train, missing, min(cores, len(missing)), report)
+        train_missing(dataset, missing, bundles, times, report)
     with times.phase("evaluate"):
         evaluate_bundles(dataset, bundles, out / "results", seed, 0, command, scale_name, report=report)
     with times.phase("report"):
@@ -142,6 +122,41 @@ def reproduce_paper(
     write_json(times.facts(), out / "wall_time_s.json")
     report.say(times.sentence())
     return page
+
+
+def train_missing(
+    dataset: Dataset,
+    jobs: Mapping[str, tuple[ModelCase, TrainConfig]],
+    bundles: Mapping[str, Path],
+    times: WallTimes,
+    report: Reporter,
+) -> None:
+    """Read and check the data, then train all of these at the same time."""
+    from tauext.train.data_check import check_data
+    from tauext.train.preparation import Given
+    from tauext.train.stage import train_on_recordings
+
+    robot = dataset.robot_file(None)
+    with times.phase("read"):
+        training, validation = dataset.recordings("train"), dataset.recordings("validation")
+    # One check for all cases with a model, and one without: findings about the model are not those of both.
+    kinds = {case.no_model: (case, config) for case, config in jobs.values()}
+    with times.phase("check"):
+        checked = {
+            no_model: check_data(dataset, Given(robot, case, training, validation), config, (), report)
+            for no_model, (case, config) in kinds.items()
+        }
+    cores = os.cpu_count() or 1
+    threads = max(1, cores // len(jobs))
+
+    def train(name: str, report: Reporter) -> None:
+        case, config = jobs[name]
+        given = Given(robot, case, training, validation)
+        settings, found = replace(config, threads=threads), checked[case.no_model]
+        train_on_recordings(given, settings, bundles[name], report=report, checked=found)
+
+    with times.phase("train"):
+        together(train, list(jobs), min(cores, len(jobs)), report)
 
 
 # --- Trainings at the same time: a step of one network is too short to be worth several threads.
@@ -215,7 +230,7 @@ def together(train: Callable[[str, Reporter], None], names: Sequence[str], worke
 
 
 def reproduce(
-    out: PlaceArg,
+    out: Path,
     scale: Literal["smoke", "quick", "full"] = "quick",
     cases: tuple[CaseName, ...] = ("exact", "mass", "com", "mass+com", "none"),
     seed: int = 0,
@@ -237,6 +252,5 @@ def reproduce(
     require_seed(seed)
     expect_folder(out)
     print_replaced(out / "results" / "results.json", out / "report" / "report.html")
-    with staged(out) as folder:
-        page = reproduce_paper(folder, scale, SCALES[scale], cases, seed, command_line(), Terminal())
-    print(out / page.relative_to(folder).as_posix())
+    page = reproduce_paper(out, scale, SCALES[scale], cases, seed, command_line(), Terminal())
+    print(page)

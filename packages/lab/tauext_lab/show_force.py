@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tauext.cli.progress import aligned
 from tauext.errors import ConfigError
-from tauext.files.places import Place
+from tauext.progress import aligned
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 BLIND = "blind"
 
 
-def show_force(file: Place, as_json: bool, data: Sequence[Place], frames: Sequence[str], picture: Place | None) -> None:
+def show_force(file: Path, as_json: bool, data: Sequence[Path], frames: Sequence[str], picture: Path | None) -> None:
     """Print what force on a link a bundle notices, and draw it if `picture` is given."""
     if file.suffix != ".tauext":
         raise ConfigError(f"{file}: --force needs a bundle (*.tauext)")
@@ -35,7 +35,7 @@ def show_force(file: Place, as_json: bool, data: Sequence[Place], frames: Sequen
         print("\n".join(force_lines(conditions, found)))
 
 
-def describe_force(file: Place, data: Sequence[Place], frames: Sequence[str]) -> tuple[dict, NoticedForce]:
+def describe_force(file: Path, data: Sequence[Path], frames: Sequence[str]) -> tuple[dict, NoticedForce]:
     """Forces that a bundle's limits notice, over the poses of recordings or over those that it keeps.
 
     Before them the bundle, the origin of the poses, and the torque error.
@@ -63,7 +63,7 @@ def describe_force(file: Place, data: Sequence[Place], frames: Sequence[str]) ->
     return {"bundle": bundle.name, "poses_of": of, "torque_share": largest_share(bundle)}, found
 
 
-def over_recordings(bundle: Bundle, data: Sequence[Place], frames: Sequence[str]) -> NoticedForce:
+def over_recordings(bundle: Bundle, data: Sequence[Path], frames: Sequence[str]) -> NoticedForce:
     """Recordings are loaded one at a time."""
     from tauext.data.recording_file import load_recording
     from tauext.monitor.estimate import estimate_recording
@@ -83,7 +83,7 @@ def over_recordings(bundle: Bundle, data: Sequence[Place], frames: Sequence[str]
     return found
 
 
-def expect_picture(picture: Place | None) -> None:
+def expect_picture(picture: Path | None) -> None:
     """Raise ConfigError where no picture could be written."""
     from tauext.files.preflight import expect_new_file
 

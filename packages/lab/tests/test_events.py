@@ -5,10 +5,10 @@ import pytest
 from sliding_mass import observer_bundle, pushed, recording
 from tauext_lab.evaluate.collisions import Onsets
 from tauext_lab.evaluate.comparison import evaluate
+from tauext_lab.evaluate.config import EventsConfig
 from tauext_lab.evaluate.events import EventMeasures, Labels, event_time, is_moving, labelled_events, own_limits
 from tauext_lab.evaluate.results import Events
 
-from tauext.config import EventsConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 

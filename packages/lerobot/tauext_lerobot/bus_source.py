@@ -5,12 +5,12 @@ from __future__ import annotations
 import time
 from abc import abstractmethod
 from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
 from typing import Protocol, TypeVar
 
 import numpy as np
 
 from tauext.errors import AwayError, ConfigError
-from tauext.files.places import Place
 from tauext.monitor.source import Sample
 from tauext.sources.describing import LEARNT_STEPS
 from tauext.sources.reader import ReaderSource, Unreachable
@@ -56,7 +56,7 @@ class BusSource(ReaderSource):
     def ask(self) -> Sample | None:
         """Ask every motor once; None: one did not answer. Raises Unreachable."""
 
-    def motors_of(self, joints: Sequence[str], path: Place, motors: Mapping[str, AnyMotor]) -> list[AnyMotor]:
+    def motors_of(self, joints: Sequence[str], path: Path, motors: Mapping[str, AnyMotor]) -> list[AnyMotor]:
         """Select the motors of the joints; missing answers of these are counted from now on.
 
         Args:

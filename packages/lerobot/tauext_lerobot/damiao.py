@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.toml_file import flag, number, numbers, one_of, read_table, read_toml, tables, text
 from tauext.monitor.source import Sample, SourceFacts, SourceSettings
 from tauext.plugins import optional_library
@@ -67,7 +66,7 @@ class CanMotor:
 class CanBusFile:
     """A bus and its motors."""
 
-    path: Place
+    path: Path
     motors: dict[str, CanMotor]
     interface: str = "socketcan"
     """Interface of python-can."""
@@ -79,7 +78,7 @@ class CanBusFile:
     sends nothing, since that program could mistake an answer to a request for ranges for a state."""
 
 
-def load_can_bus(path: Place) -> CanBusFile:
+def load_can_bus(path: Path) -> CanBusFile:
     """A file like
 
         interface = "socketcan"    # of python-can; the bit rate of a socketcan interface is set by `ip link`

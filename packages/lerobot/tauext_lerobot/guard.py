@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -15,8 +16,6 @@ from tauext.bundle.bundle_file import load_bundle
 from tauext.data.description import Arm, load_arm
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
-from tauext.files.copies import local_file
-from tauext.files.places import Place
 from tauext.files.toml_file import number, read_table, read_toml, tables, text
 from tauext.monitor.source import CountedTime
 
@@ -251,7 +250,7 @@ def held_at_rest(values: np.ndarray, q: np.ndarray, rate_hz: float, hold_s: floa
 # --- A guard's folder.
 
 
-def load_guard(folder: Place) -> tuple[_core.Bundle, Arm, GuardSettings]:
+def load_guard(folder: Path) -> tuple[_core.Bundle, Arm, GuardSettings]:
     """Load the folder that `tauext guard` writes.
 
     Raises:
@@ -264,6 +263,6 @@ def load_guard(folder: Place) -> tuple[_core.Bundle, Arm, GuardSettings]:
         for name, content in table["joints"].items()
     }
     grip = Grip(**read_table(path, "[grip]", table["grip"], GRIP_KEYS)) if table["grip"] else None
-    motors = local_file(folder / CALIBRATION) if (folder / CALIBRATION).is_file() else None
+    motors = folder / CALIBRATION if (folder / CALIBRATION).is_file() else None
     arm = load_arm(folder / ARM, motors)
     return load_bundle(folder / BUNDLE), arm, GuardSettings(joints, grip, table["hold_s"])

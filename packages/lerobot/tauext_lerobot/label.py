@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
+from pathlib import Path
 from typing import Literal
 
-from tauext.cli.place_argument import JsonArg, PlaceArg
+from tauext.cli.arguments import JsonArg
 from tauext.cli.progress import Terminal
-from tauext.files.copies import local_file, local_folder, staged
 
 
 def label(
-    dataset: PlaceArg,
-    bundle: PlaceArg,
-    arm: PlaceArg,
-    out: PlaceArg,
-    calibration: PlaceArg | None = None,
+    dataset: Path,
+    bundle: Path,
+    arm: Path,
+    out: Path,
+    calibration: Path | None = None,
     into: Literal["state", "features"] = "state",
     as_json: JsonArg = False,
 ) -> None:
@@ -46,10 +46,9 @@ def label(
     from tauext.data.description import load_arm
     from tauext_lerobot.labels import label_dataset
 
-    described = load_arm(arm, None if calibration is None else local_file(calibration))
+    described = load_arm(arm, calibration)
     loaded = load_bundle(bundle)
-    with staged(out, fresh=True) as folder:
-        report = label_dataset(local_folder(dataset), loaded, described, folder, into, Terminal())
+    report = label_dataset(dataset, loaded, described, out, into, Terminal())
     if as_json:
         print(json.dumps({"out": str(out), **asdict(report)}))
         return

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tauext.cli.place_argument import AcceptArg, PlaceArg
+from tauext.cli.arguments import AcceptArg
 from tauext.cli.progress import Terminal
+from tauext.config import require
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import new_folder
-from tauext.files.copies import local_file, local_folder, staged
-from tauext.files.places import place_of
 from tauext.progress import SILENT
 
 if TYPE_CHECKING:
@@ -47,10 +46,10 @@ RAW = (("current", "A"), ("duty", "1"), ("voltage", "V"))
 
 
 def guard(
-    source: tuple[PlaceArg, ...],
-    out: PlaceArg,
-    arm: PlaceArg | None = None,
-    calibration: PlaceArg | None = None,
+    source: tuple[Path, ...],
+    out: Path,
+    arm: Path | None = None,
+    calibration: Path | None = None,
     gripper: str | None = None,
     at_most_nm: float | None = None,
     accept: AcceptArg = (),
@@ -78,41 +77,40 @@ def guard(
     from tauext.train.stage import train_bundle
     from tauext_lerobot.guard import ARM, BUNDLE, CALIBRATION, SETTINGS
 
-    sources = [local_folder(one) for one in source]
-    if at_most_nm is not None and not 0 < at_most_nm < 1e6:
-        raise ConfigError(f"at_most_nm = {at_most_nm} must be > 0")
+    require(at_most_nm is None or 0 < at_most_nm < 1e6, "at_most_nm", at_most_nm, "> 0")
     if arm is not None and calibration is not None:
         raise ConfigError("--calibration goes without --arm; name the file in arm.toml ([robot] calibration)")
-    given = None if arm is None else local_file(arm)
-    motors = local_file(calibration) if given is None else named_calibration(given)
+    motors = calibration if arm is None else named_calibration(arm)
     if motors is not None:
         load_lerobot_calibration(motors)
-    with staged(out, fresh=True) as place, new_folder(place) as folder:
+    with new_folder(out) as folder:
         if motors is not None:
             shutil.copyfile(motors, folder / CALIBRATION)
-        text = described(sources, calibration is not None) if given is None else given.read_text()
+        text = described(source, calibration is not None) if arm is None else arm.read_text()
         (folder / ARM).write_text(text)
         # Files that arm.toml names are relative to its own place.
-        import_dataset(sources, given or folder / ARM, folder / "data", "tauext", SILENT.say)
+        import_dataset(source, arm or folder / ARM, folder / "data", "tauext", SILENT.say)
         dataset = load_dataset(folder / "data")
         training = dataset.training()
         minutes = sum(recording.duration_s for recording in training) / 60
-        if minutes < LEAST_MINUTES:
-            raise ConfigError(
-                f"{', '.join(map(str, sources))}: {minutes:.1f} minutes of motion are too few for a guard; record at "
-                f"least {LEAST_MINUTES:g}, better 10, in which every joint moves as it will move later"
-            )
-        expect_motion(training, sources)
-        joints = training[0].joints
-        name = gripper_of(joints, gripper)
+        expect_minutes(minutes, source)
+        expect_motion(training, source)
+        name = gripper_of(training[0].joints, gripper)
         config = TrainConfig(recipe="prior", fit_torque_constants=False)
         bundle = train_bundle(dataset, folder / BUNDLE, config=config, report=Bars(), accept=accept)
         settings, notes = learned(bundle, training, name, at_most_nm)
-        (folder / SETTINGS).write_text(settings_text(settings, bundle, sources, minutes, notes))
+        (folder / SETTINGS).write_text(settings_text(settings, bundle, source, minutes, notes))
         shutil.rmtree(folder / "data")
-    for note in notes:
-        print(note)
-    print(out)
+    print(*notes, out, sep="\n")
+
+
+def expect_minutes(minutes: float, sources: list[Path]) -> None:
+    """Raise ConfigError where there is too little motion."""
+    if minutes < LEAST_MINUTES:
+        raise ConfigError(
+            f"{', '.join(map(str, sources))}: {minutes:.1f} minutes of motion are too few for a guard; record at "
+            f"least {LEAST_MINUTES:g}, better 10, in which every joint moves as it will move later"
+        )
 
 
 class Bars(Terminal):
@@ -139,7 +137,7 @@ def named_calibration(arm: Path) -> Path | None:
     from tauext.data.description import load_arm
 
     named = load_arm(arm).robot.calibration
-    return local_file(place_of(named, arm.parent)) if named else None
+    return arm.parent / named if named else None
 
 
 def gripper_of(joints: Sequence[str], named: str | None) -> str:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tauext.cli.commands import Command
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.sources.open import Option, SourceKind
 
 if TYPE_CHECKING:
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
 
 BUS = Option(
     "bus",
-    Place | None,
+    Path | None,
     "TOML file of --source feetech, dynamixel or damiao: servo, zero position and direction of each joint. LeRobot's"
     " calibration file (*.json) also works for serial servos.",
 )
 
 
-def expect_bus(text: str, bus: Place | None) -> Place:
+def expect_bus(text: str, bus: Path | None) -> Path:
     """Raises ConfigError without a bus file."""
     if bus is None:
         raise ConfigError(f"--source {text} needs --bus FILE: which servo is which joint (docs/servo-arms.md)")
@@ -31,7 +31,7 @@ def expect_bus(text: str, bus: Place | None) -> Place:
 def serial_bus(kind: str) -> SourceKind:
     """The source of a series of serial servos."""
 
-    def open_serial(target: str, bundle: Bundle | None, bus: Place | None = None) -> Source:
+    def open_serial(target: str, bundle: Bundle | None, bus: Path | None = None) -> Source:
         from tauext_lerobot.servo import ServoSource
         from tauext_lerobot.servo_bus_file import load_servo_bus
         from tauext_lerobot.servo_series import SERIES
@@ -41,7 +41,7 @@ def serial_bus(kind: str) -> SourceKind:
     return SourceKind(open_serial, "PORT", (BUS,))
 
 
-def open_damiao(target: str, bundle: Bundle | None, bus: Place | None = None) -> Source:
+def open_damiao(target: str, bundle: Bundle | None, bus: Path | None = None) -> Source:
     from tauext_lerobot.damiao import DamiaoSource, load_can_bus
 
     return DamiaoSource(target, load_can_bus(expect_bus("damiao:CAN", bus)))

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from tauext.data.servo_types import MotorCalibration, load_lerobot_calibration
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.toml_file import flag, number, one_of, read_table, read_toml, tables, text
 
 MOST_ID = 252
@@ -52,12 +51,12 @@ class ServoJoint:
 class ServoBusFile:
     """A bus and its servos."""
 
-    path: Place
+    path: Path
     joints: dict[str, ServoJoint]
     baud: int = BAUD
 
 
-def load_servo_bus(path: Place) -> ServoBusFile:
+def load_servo_bus(path: Path) -> ServoBusFile:
     """Load a bus file (docs/servo-arms.md) or a LeRobot calibration file (*.json).
 
     Raises:

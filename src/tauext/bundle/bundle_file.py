@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from tauext import _core
@@ -11,9 +12,7 @@ from tauext.bundle.loss_history import LossHistory
 from tauext.config import checked
 from tauext.errors import BundleError, ConfigError
 from tauext.files.atomic_write import atomic_files
-from tauext.files.copies import local_file, written_as
 from tauext.files.kind import why_no_bundle
-from tauext.files.places import Place, place_of
 from tauext.files.plain_file import json_of
 from tauext.files.provenance import json_text
 from tauext.progress import WallTimes
@@ -22,21 +21,21 @@ from tauext.progress import WallTimes
 
 
 @checked
-def load_bundle(path: Place | str) -> _core.Bundle:
+def load_bundle(path: Path | str) -> _core.Bundle:
     """The bundle in a file NAME.tauext, checked and its reference replayed; `Bundle.save` writes one.
 
     Raises:
         BundleError: there is no such file.
         CoreError: damaged, or of another format.
     """
-    path = place_of(path)
+    path = Path(path)
     if path.suffix != ".tauext" and (reason := why_no_bundle(path)):
         raise BundleError(f"{path}: {reason}")
     if not path.is_file():
         raise BundleError(f"{path}: there is no such bundle; `tauext train` makes one")
     try:
         str(path).encode()  # the core takes no other names
-        bundle = load_from(path)
+        bundle = _core.Bundle.load(str(path))
     except (RuntimeError, UnicodeError) as error:  # a disk that fails while it is read; a name that is no text
         raise BundleError(f"{path}: cannot be read ({error})") from error
     try:
@@ -44,15 +43,6 @@ def load_bundle(path: Place | str) -> _core.Bundle:
     except BundleError as error:
         raise BundleError(f"{path}: {error}") from error
     return bundle
-
-
-def load_from(path: Place) -> _core.Bundle:
-    """By the core; its errors name the place."""
-    file = local_file(path)
-    try:
-        return _core.Bundle.load(str(file))
-    except _core.CoreError as error:
-        raise _core.CoreError(str(error).replace(str(file), str(path))) from error
 
 
 def expect_text(bundle: _core.Bundle) -> None:
@@ -68,7 +58,7 @@ def expect_text(bundle: _core.Bundle) -> None:
         raise BundleError(f"its name {odd[0]!r} has characters that cannot be printed")
 
 
-def write_bundle(bundle: _core.Bundle, path: Place, facts: dict, history: LossHistory, times: WallTimes) -> None:
+def write_bundle(bundle: _core.Bundle, path: Path, facts: dict, history: LossHistory, times: WallTimes) -> None:
     """Write NAME.tauext with NAME.run.json and NAME.wall_time_s.json beside it: all three, or none.
 
     The bundle is written last: if it exists, its run file exists.
@@ -92,7 +82,7 @@ def write_bundle(bundle: _core.Bundle, path: Place, facts: dict, history: LossHi
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from error
     except _core.CoreError as error:
-        raise ConfigError(f"{path}: {str(error).removeprefix(f'{written_as(path)}: ')}") from error
+        raise ConfigError(f"{path}: {str(error).removeprefix(f'{part}: ')}") from error
 
 
 # --- What was done to a bundle after its training: friction brought up to date, torque constants from a known weight.

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 from tauext.data.labels import ALARM, labels_of
 from tauext.errors import ConfigError
 from tauext.files.journal import COMPACTED, Contents, read
 from tauext.files.journal_lines import is_bundle_name, is_number, is_text, is_whole
-from tauext.files.places import Place
 from tauext.files.plain_file import expect_format, json_of, read_json, read_text
 
 FACTS = "commission.json"
@@ -26,12 +26,12 @@ SHOWN_LINES = 3
 """Lines of the journal whose damage is printed."""
 
 
-def is_commissioned(folder: Place) -> bool:
+def is_commissioned(folder: Path) -> bool:
     """Whether `tauext commission` made this folder."""
     return (folder / FACTS).is_file()
 
 
-def read_facts(folder: Place) -> dict[str, Any]:
+def read_facts(folder: Path) -> dict[str, Any]:
     """Content of commission.json.
 
     Raises:
@@ -45,7 +45,7 @@ def read_facts(folder: Place) -> dict[str, Any]:
     return dict(content)
 
 
-def lost_lines(folder: Place, noted: int | None = None) -> int:
+def lost_lines(folder: Path, noted: int | None = None) -> int:
     """Number of lines of the journal that are lost, until a person has accepted that.
 
     Args:
@@ -65,7 +65,7 @@ def noted_in(content: dict[str, Any]) -> int:
     return int(number) if is_whole(number, least=0) else 0
 
 
-def expect_journal(folder: Place) -> None:
+def expect_journal(folder: Path) -> None:
     """Raise ConfigError if lines of a commissioned folder's journal are lost: they may have been answers."""
     if is_commissioned(folder) and (lost := lost_lines(folder)):
         raise ConfigError(
@@ -84,32 +84,32 @@ def lost_words(lost: int, unusable: str = "") -> str:
     return f"journal: at least {lost} confirmed line{'s are' if lost != 1 else ' is'} lost{why}"
 
 
-def unusable_words(folder: Place) -> str:
+def unusable_words(folder: Path) -> str:
     """Lines of the journal that are not used, the first ones with their reasons; empty: all are."""
     found = read(folder).unusable
     more = f"; and {len(found) - SHOWN_LINES} more" if len(found) > SHOWN_LINES else ""
     return "; ".join(found[:SHOWN_LINES]) + more
 
 
-def bundle_file(folder: Place, name: object) -> Place | None:
+def bundle_file(folder: Path, name: object) -> Path | None:
     """File of a bundle of the folder; None: it is missing, or the name leads to another folder."""
     path = folder / BUNDLES / f"{name}.tauext" if is_bundle_name(name) else None
     return path if path is not None and path.is_file() else None
 
 
-def active_bundle(folder: Place) -> Place | None:
+def active_bundle(folder: Path) -> Path | None:
     """File of the bundle that was put in charge last; None: none yet, or it is missing."""
     begun = read(folder).kinds.get("activation")
     return bundle_file(folder, begun[-1]["bundle"]) if begun else None
 
 
-def received_s(folder: Place) -> float:
+def received_s(folder: Path) -> float:
     """Samples received so far, [s]: of coverage.json, or of the newest line of the history where that is lost."""
     history = read_history(folder)
     return max(float(read_coverage(folder).get("seconds", 0.0)), float(history[-1]["seconds"]) if history else 0.0)
 
 
-def read_history(folder: Place) -> list[dict[str, Any]]:
+def read_history(folder: Path) -> list[dict[str, Any]]:
     """Trainings, activations, promises, steps and notes in order; each has `kind`, `wall`, `seconds` and `words`."""
     return list(_history(read(folder)))
 
@@ -119,7 +119,7 @@ def _history(journal: Contents) -> tuple[dict[str, Any], ...]:
     return tuple(one for one in journal.lines if "words" in one and "seconds" in one)
 
 
-def read_events(folder: Place) -> list[dict[str, Any]]:
+def read_events(folder: Path) -> list[dict[str, Any]]:
     """Alarms in order of their first line; of each id the newest line, and the answer of its label."""
     return [dict(one) for one in _events(read(folder))]
 
@@ -135,13 +135,13 @@ def _events(journal: Contents) -> tuple[dict[str, Any], ...]:
     return tuple(newest.values())
 
 
-def left_out(folder: Place) -> dict[str, int]:
+def left_out(folder: Path) -> dict[str, int]:
     """Collision alarms without an answer that the journal has left out, by bundle."""
     compacted = read(folder).kinds.get(COMPACTED, [{}])[-1]
     return dict(compacted.get("unanswered", {}))
 
 
-def read_question(folder: Place) -> dict[str, Any]:
+def read_question(folder: Path) -> dict[str, Any]:
     """The change of the arm that waits for a person, with `answer` once it is given; empty: none."""
     kinds = read(folder).kinds
     asked = (kinds.get("step") or [{}])[-1]
@@ -170,7 +170,7 @@ def watches(history: list[dict[str, Any]], now_s: float) -> Iterator[Watch]:
         yield Watch(str(one.get("bundle")), begin, max(begin, end))
 
 
-def read_coverage(folder: Place) -> dict[str, Any]:
+def read_coverage(folder: Path) -> dict[str, Any]:
     """Content of coverage.json without damaged entries; empty where the file is missing or damaged."""
     content: Any = None
     with suppress(OSError, ValueError):
@@ -196,7 +196,7 @@ def _is_joint(one: Any) -> bool:
     return isinstance(missing, list) and all(map(is_text, missing))
 
 
-def read_findings(folder: Place) -> list[dict[str, Any]]:
+def read_findings(folder: Path) -> list[dict[str, Any]]:
     """Findings of the last check of the stream, from findings.json; empty where it is missing or damaged."""
     with suppress(OSError, ValueError, LookupError, TypeError):
         found = json_of(read_text(folder / FINDINGS))["findings"]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 from typing import Any
 
 from tauext import _core
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.plain_file import json_of, read_text
 
 MOST_ENTRIES = 200
@@ -17,7 +17,7 @@ LossHistory = list[list[float]]
 """[step, training loss, validation loss], by step."""
 
 
-def read_loss_history(bundle: _core.Bundle, path: Place) -> LossHistory | None:
+def read_loss_history(bundle: _core.Bundle, path: Path) -> LossHistory | None:
     """The history of the bundle that was loaded from this path, thinned; None where nothing was recorded.
 
     A bundle without its run file is a bundle that was copied, and nothing is wrong with it. A run file that cannot be

@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Self
@@ -16,7 +16,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.bundle.estimates import OK
-from tauext.check.contacts import is_unlabelled_contact, spoils_contacts
+from tauext.check.contacts import is_unlabelled_contact
 from tauext.check.examine import Diagnosis, examine, quick_checks, unlabelled_contacts
 from tauext.check.finding import CODES, Finding, Severity
 from tauext.check.motion import MOVING_RAD_S
@@ -27,8 +27,7 @@ from tauext.data.labels import labels_key
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, FaultyDataError, TrainingError
 from tauext.files.atomic_write import atomic_write
-from tauext.files.copies import cache_folder, version_of
-from tauext.files.places import Place, is_stored
+from tauext.files.checkpoint import cache_folder
 from tauext.files.provenance import VERSION
 from tauext.progress import Reporter
 
@@ -191,10 +190,8 @@ def digest_of(recording: Recording) -> str:
     return digest.hexdigest()
 
 
-def file_digest(path: Place) -> str:
-    """Digest of a file's bytes, or a store's content tag; an unreadable file has the digest of no content."""
-    if is_stored(path):
-        return version_of(path)
+def file_digest(path: Path) -> str:
+    """Digest of a file's bytes; an unreadable file has the digest of no content."""
     digest = hashlib.sha256()
     try:
         with path.open("rb") as file:
@@ -212,23 +209,6 @@ LISTED = 8
 """Most findings of a code with evidence listed; further ones are counted."""
 NARROW = 2
 """Most joints named in a suggested --accept; with more, the code is accepted for all joints."""
-
-
-@dataclass(frozen=True)
-class CheckResult:
-    """Faults and warnings of one set of recordings, without notes."""
-
-    findings: list[Finding] = field(default_factory=list)
-
-    def faults(self) -> list[Finding]:
-        """Faults, which must be accepted to use the data."""
-        return [finding for finding in self.findings if finding.severity == "fault"]
-
-    def facts(self, accept: Collection[str]) -> dict:
-        """Accepted faults and warnings for provenance, as plain JSON."""
-        accepted = [finding for finding in self.faults() if is_accepted(finding, accept)]
-        warnings = [finding for finding in self.findings if finding.severity == "warning"]
-        return {"accepted": entries(accepted), "warnings": entries(warnings)}
 
 
 def entries(findings: Iterable[Finding]) -> list[dict]:
@@ -287,23 +267,33 @@ def expect_accepted(findings: Iterable[Finding], accept: Collection[str], where:
     raise FaultyDataError("\n".join(lines), faults)
 
 
-def refuse_faults(results: Mapping[str, CheckResult], where: str, accept: Sequence[str], report: Reporter) -> dict:
-    """Report warnings and accepted faults, each once; returns facts of each result for provenance.
+def refuse_faults(
+    results: Mapping[str, Sequence[Finding]], where: str, accept: Sequence[str], report: Reporter
+) -> dict:
+    """Report warnings and accepted faults, each once; returns them for provenance, as plain JSON.
 
     Args:
+        results: findings by the set of recordings.
         where: name of the data, for the message.
 
     Raises:
         FaultyDataError: a fault is not accepted; the message lists all of them.
     """
-    findings = [finding for result in results.values() for finding in result.findings]
+    findings = [finding for result in results.values() for finding in result]
     how = "`tauext check --out DIR` draws them. To use them unchanged, accept the faults; the bundle records it:"
     expect_accepted(findings, accept, where, "these data", how)
-    for entry in entries(f for f in findings if f.severity == "fault"):
+    for entry in _entries(findings, "fault"):
         report.say(f"accepted: {sentence(entry)}")
-    for entry in entries(f for f in findings if f.severity == "warning"):
+    for entry in _entries(findings, "warning"):
         report.say(f"warning: {sentence(entry)}")
-    return {name: result.facts(accept) for name, result in results.items()}
+    return {
+        name: {"accepted": _entries(result, "fault"), "warnings": _entries(result, "warning")}
+        for name, result in results.items()
+    }
+
+
+def _entries(findings: Iterable[Finding], severity: Severity) -> list[dict]:
+    return entries(finding for finding in findings if finding.severity == severity)
 
 
 def sentence(entry: dict) -> str:
@@ -360,13 +350,8 @@ LEAST_ROWS = 200
 """Least samples of each recording: with stamps in a wrong unit an hour may last seconds."""
 FITTED = ("effort-scale", "effort-motor-side")
 """Codes that are no fault if training finds the factor."""
-LESSER: Mapping[str, Severity] = {
-    "contact-in-free-motion": "note",  # labelled: training and limits leave it out and report it
-    "smoothed": "warning",  # model and friction are right, limits too low for the raw signal
-}
-"""Severity of these codes in training."""
-TOO_FEW = ("too-short", "temperature-drift")
-"""Codes that cannot be decided on a share of the recordings."""
+TOO_FEW = ("too-short", "torque-changes")
+"""Codes whose warnings cannot be decided on a share of the recordings: of the length, and of friction that changes."""
 RARE = ("spike",)
 """Codes that a share of the recordings may miss."""
 AT_A_TIME = 4
@@ -380,8 +365,8 @@ def check_training(
     finds_constants: bool,
     threads: int,
     report: Reporter,
-) -> CheckResult:
-    """Run all checks on the data of a training; findings are cached by content.
+) -> list[Finding]:
+    """Faults and warnings in the data of a training, by all checks; they are cached by content.
 
     Labelled contacts are left out of training, so they are no fault.
 
@@ -409,20 +394,19 @@ def check_training(
         tasks += [partial(quick_checks, one, limits_nm) for one in recordings]
         general, *quick = _in_parallel(tasks, workers, "check the data", report)
         if any(a is not b for a, b in zip(few, recordings, strict=True)):
-            general = [f for f in general if f.code not in TOO_FEW]
-            refused = any(forgiven(f).severity == "fault" for f in general)
-            if not refused and not spoils_contacts(general):
+            general = [f for f in general if f.code not in TOO_FEW or f.severity == "fault"]
+            if not diagnoses[0].spoiled and not any(f.severity == "fault" for f in general):
                 general = [f for f in general if not is_unlabelled_contact(f)]
                 general += unlabelled_contacts(recordings, diagnoses[0])
-        return together([f for f in map(forgiven, general) if not (finds_constants and f.code in FITTED)], quick)
+        return together([f for f in general if not (finds_constants and f.code in FITTED)], quick)
 
-    return CheckResult(_without_notes(remembered(["training", *settings, *digests], find)))
+    return _without_notes(remembered(["training", *settings, *digests], find))
 
 
 def check_calibration(
-    files: Sequence[Place], limits_nm: np.ndarray | None, threads: int, report: Reporter
-) -> CheckResult:
-    """Run the quick checks on every calibration recording; findings are cached by content.
+    files: Sequence[Path], limits_nm: np.ndarray | None, threads: int, report: Reporter
+) -> list[Finding]:
+    """Faults and warnings in calibration recordings, by the quick checks; they are cached by content.
 
     Args:
         files: the recordings.
@@ -440,15 +424,15 @@ def check_calibration(
         found = _in_parallel(
             [partial(checked, load) for load in stretches(files)], workers, "check the calibration recordings", report
         )
-        return [forgiven(finding) for of_recording in found for finding in of_recording]
+        return [finding for of_recording in found for finding in of_recording]
 
-    return CheckResult(_without_notes(remembered(["calibration", _words(limits_nm), *digests], find)))
+    return _without_notes(remembered(["calibration", _words(limits_nm), *digests], find))
 
 
 def check_for_bundle(
     bundle: _core.Bundle,
     name: str,
-    files: Sequence[Place],
+    files: Sequence[Path],
     where: str,
     accept: Sequence[str],
     threads: int,
@@ -475,11 +459,6 @@ def shares(recordings: Sequence[Recording]) -> list[Recording]:
     return [r if end >= r.samples else cut(r, slice(0, end)) for r, end in zip(recordings, ends, strict=True)]
 
 
-def forgiven(finding: Finding) -> Finding:
-    """Lower the severity of faults that do not affect training."""
-    return replace(finding, severity=LESSER.get(finding.code, "fault")) if finding.severity == "fault" else finding
-
-
 def together(general: Sequence[Finding], quick: Iterable[Sequence[Finding]]) -> list[Finding]:
     """Combine the findings of all checks with the quick checks' further faults and rare warnings.
 
@@ -487,7 +466,7 @@ def together(general: Sequence[Finding], quick: Iterable[Sequence[Finding]]) -> 
     """
     reported = {(f.code, f.joint, f.recording) for f in general}
     found = list(general)
-    for finding in (forgiven(finding) for of_recording in quick for finding in of_recording):
+    for finding in (finding for of_recording in quick for finding in of_recording):
         if finding.severity != "fault" and finding.code not in RARE:
             continue
         same = {(finding.code, joint, name) for joint in (finding.joint, None) for name in (finding.recording, None)}

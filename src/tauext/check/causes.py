@@ -12,9 +12,9 @@ from tauext.check.joint_fit import FitRows, JointFit
 # --- Findings that another one explains are not printed beside it: one remedy at a time, the first to do.
 
 
-_TORQUE = ("effort-sign", "effort-scale", "effort-motor-side", "effort-external", "effort-gravity-compensated")
-_LOAD = ("gravity-direction", "payload-missing", "payload-absent")
-_PLACES = ("joint-axis", "position-offset", "position-limit")
+_TORQUE = ("effort-sign", "effort-scale", "effort-motor-side", "effort-compensated")
+_LOAD = ("gravity-direction", "payload")
+_PLACES = ("joint-axis", "position-offset", "beyond-limit")
 _VELOCITY = ("velocity-sign", "velocity-unit", "velocity-mismatch", "velocity-delay")
 EXPLAINED: dict[str, tuple[str, ...]] = {
     "time-unit": (*_VELOCITY, *_TORQUE, "torque-delay", "clock-irregular"),
@@ -24,7 +24,7 @@ EXPLAINED: dict[str, tuple[str, ...]] = {
     "joint-order": (*_VELOCITY, *_TORQUE, *_LOAD, *_PLACES, "torque-delay"),
     "velocity-mismatch": ("effort-sign", "torque-delay", "velocity-delay"),
     "velocity-sign": ("effort-sign",),
-    "robot-file-other": (*_TORQUE, *_LOAD, *_PLACES, "joint-order", "effort-limit", "torque-delay"),
+    "robot-file-other": (*_TORQUE, *_LOAD, *_PLACES, "joint-order", "torque-delay"),
 }
 """Codes that each cause explains; the causes in the order in which they are to be mended."""
 
@@ -46,18 +46,8 @@ def causes_only(found: Sequence[Finding]) -> list[Finding]:
 # --- Another arm's robot file: torque that depends on the pose, but not as the model says.
 
 
-POSE_SHARE = 0.3
-"""Least share of a torque's variance that the pose explains on left-out motion beyond friction, inertia and the model:
-there is gravity in it, and it is not the model's."""
-FITS = 0.8
-"""Share of a torque's variance from which the model explains it."""
 BEYOND_RAD, BEYOND_SHARE = 0.3, 0.05
 """Positions this far beyond the limits, in this share of the samples, are widely beyond."""
-LEAST_S = 20.0
-"""Least motion, [s]: on less, the pose explains anything."""
-BLOCK_S = 5.0
-"""Motion is left out in blocks of this length, [s]."""
-RIDGE = 1e-3
 
 
 def other_robot_findings(
@@ -71,19 +61,20 @@ def other_robot_findings(
         found: findings of the torque, of which those that the model's gravity contradicts are doubted.
         limits_rad: (joints, 2) position limits of the robot file, infinite where it has none.
     """
-    if len(np.unique(rows.time_s // 1.0)) < LEAST_S:
+    if len(np.unique(rows.time_s // 1.0)) < 20.0:  # [s]; in less motion, the pose explains anything
         return []
-    doubted = ("effort-external", "effort-gravity-compensated", "effort-scale", "gravity-direction")
+    doubted = ("effort-compensated", "effort-scale", "gravity-direction")
     suspected = any(finding.code in doubted and finding.severity == "fault" for finding in found)
     low, high = limits_rad[:, 0] - BEYOND_RAD, limits_rad[:, 1] + BEYOND_RAD
     outside = ((rows.q < low) | (rows.q > high)).mean(axis=0)
     beyond = [] if (outside > BEYOND_SHARE).sum() < 2 else np.flatnonzero(outside > BEYOND_SHARE).tolist()
     strong = rows.gravity.std(axis=0) > 0.1 * rows.gravity.std(axis=0).max()
-    fitted = [j for j in range(len(joints)) if strong[j] and fits[j].explained > FITS and fits[j].gravity_factor[0] > 0]
+    fitted = [j for j in range(len(joints)) if strong[j] and fits[j].explained > 0.8 and fits[j].gravity_factor[0] > 0]
     if not suspected and len(fitted) > strong.sum() / 2:
         return []
     shares = [pose_share(rows, j) for j in range(len(joints))]
-    misfits = [j for j, share in enumerate(shares) if share > POSE_SHARE]
+    # such a torque has gravity in it that is not the model's
+    misfits = [j for j, share in enumerate(shares) if share > 0.3]
     if not misfits and (suspected or not beyond):
         return []
     parts = [
@@ -107,7 +98,8 @@ def pose_share(rows: FitRows, joint: int) -> float:
     model = np.column_stack([rows.gravity[:, joint], rows.inertial[:, joint]])
     plain = np.column_stack([rows.friction[:, joint], rows.acceleration, model])
     with_pose = np.column_stack([plain, _pose_features(rows.q)])
-    block = (rows.time_s // BLOCK_S).astype(int) % 2
+    # motion is left out in blocks of five seconds
+    block = (rows.time_s // 5.0).astype(int) % 2
     tau = rows.tau[:, joint]
     errors = np.zeros(2)
     for left_out in (0, 1):
@@ -117,7 +109,7 @@ def pose_share(rows: FitRows, joint: int) -> float:
         for k, features in enumerate((plain, with_pose)):
             mean, size = features[train].mean(axis=0), features[train].std(axis=0) + 1e-9
             a, b = (features[train] - mean) / size, tau[train] - tau[train].mean()
-            weights = np.linalg.solve(a.T @ a + RIDGE * len(a) * np.eye(a.shape[1]), a.T @ b)
+            weights = np.linalg.solve(a.T @ a + 1e-3 * len(a) * np.eye(a.shape[1]), a.T @ b)
             left = tau[test] - tau[train].mean() - (features[test] - mean) / size @ weights
             errors[k] += float(left @ left)
     spread = float(np.sum((tau - tau.mean()) ** 2))

@@ -17,33 +17,17 @@ from tauext.data.recording import GAP_STEPS, Recording, fitted_period_ns, runs_o
 
 GAP = 3.0
 """A longer step is a gap, [sample periods]: a controller's cycle may lose one or two samples."""
-IRREGULAR = 0.25
-"""Spread of the steps, 1 to 99 %, as a share of the period: a clock on a busy computer stays below a tenth."""
 IRREGULAR_BADLY = GAP_STEPS - 1
 """Above this share, jitter cannot be distinguished from lost samples; below it, training and monitor accept jitter."""
-LOST = 0.01
-"""Share of the rows, left out or sorted by an import, that is reported."""
-REPEATED = 0.005
-"""Share of repeated rows that is reported: measured rows of several joints hardly ever agree in every bit."""
-REPEATED_BADLY = 0.05
 
 
-def clock_findings(recordings: Sequence[Recording]) -> list[Finding]:
-    """Findings of gaps, jitter and repeated rows, all recordings together; times are in [ms]."""
-    steps = [np.diff(r.t_ns) * 1e-6 for r in recordings if r.samples > 2]
-    if not steps:
-        return []
-    found = _lost(recordings) + _gaps(recordings) + _spread(recordings)
-    return found + _repeats(recordings)
-
-
-def _lost(recordings: Sequence[Recording]) -> list[Finding]:
-    """Rows that an import left out or sorted."""
+def lost_findings(recordings: Sequence[Recording]) -> list[Finding]:
+    """Findings of rows that an import left out or sorted."""
     found = []
     for recording in recordings:
         facts = recording.provenance
         left_out, late = (float(facts.get(key, 0)) for key in ("dropped_share", "sorted_share"))
-        if max(left_out, late) <= LOST:
+        if max(left_out, late) <= 0.01:
             continue
         evidence = f"'{recording.name}': {left_out:.1%} of the rows were left out, {late:.1%} sorted by their stamps"
         evidence += "".join(f"; {sentence}" for sentence in facts.get("dropped", []))
@@ -52,7 +36,8 @@ def _lost(recordings: Sequence[Recording]) -> list[Finding]:
     return found
 
 
-def _gaps(recordings: Sequence[Recording]) -> list[Finding]:
+def gap_findings(recordings: Sequence[Recording]) -> list[Finding]:
+    """Finding of gaps, all recordings together."""
     longest, count, period_ms = 0.0, 0, 0.0
     for recording in recordings:
         steps = np.diff(recording.t_ns) * 1e-6
@@ -69,7 +54,8 @@ def _gaps(recordings: Sequence[Recording]) -> list[Finding]:
     return [Finding("clock-gaps", "warning", None, evidence, advice)]
 
 
-def _spread(recordings: Sequence[Recording]) -> list[Finding]:
+def jitter_findings(recordings: Sequence[Recording]) -> list[Finding]:
+    """Finding of the recording whose steps differ most."""
     worst: tuple[float, str] = (0.0, "")
     for recording in recordings:
         if recording.samples < 100:
@@ -79,7 +65,8 @@ def _spread(recordings: Sequence[Recording]) -> list[Finding]:
         spread = float(high - low) / period_ms
         steps = f"'{recording.name}': steps of {low:.2f} to {high:.2f} ms (1 to 99 %), period {period_ms:.2f} ms"
         worst = max(worst, (spread, steps))
-    if worst[0] <= IRREGULAR:
+    # a clock on a busy computer stays below a tenth
+    if worst[0] <= 0.25:
         return []
     advice = (
         "stamp samples where they are measured, not where they arrive: jitter of the clock disturbs velocities and r"
@@ -88,14 +75,16 @@ def _spread(recordings: Sequence[Recording]) -> list[Finding]:
     return [Finding("clock-irregular", severity, None, worst[1], advice)]
 
 
-def _repeats(recordings: Sequence[Recording]) -> list[Finding]:
+def repeat_findings(recordings: Sequence[Recording]) -> list[Finding]:
+    """Finding of repeated rows, all recordings together."""
     repeats = [repeated_rows(r) for r in recordings]
     count, rows = sum(int(x.sum()) for x in repeats), sum(len(x) for x in repeats)
-    if count < 3 or count / rows < REPEATED:
+    # measured rows of several joints hardly ever agree in every bit
+    if count < 3 or count / rows < 0.005:
         return []
     runs = np.concatenate([np.ptp(runs_of(x), axis=1) for x in repeats])
     fresh = np.concatenate([np.diff(r.t_ns[~x]) * 1e-6 for r, x in zip(recordings, repeats, strict=True)])
-    severity: Severity = "warning" if count / rows >= REPEATED_BADLY else "note"
+    severity: Severity = "warning" if count / rows >= 0.05 else "note"
     evidence = f"{count / rows:.1%} of the rows equal the row before ({len(runs)} runs, up to {runs.max()} repeats)"
     if len(fresh):
         evidence += (
@@ -114,18 +103,10 @@ def _repeats(recordings: Sequence[Recording]) -> list[Finding]:
 
 UNITS = (1e3, 1e6, 1e9, 60.0, 3600.0)
 """Ratios of units of time: seconds, their thousandths and so on, minutes, hours."""
-OFF = 0.03
-"""Deg/s, 57.3, stays apart from minutes, 60."""
-AGREE = 0.05
-"""The joints' ratios must agree within this factor."""
-LEAST_RAD = 0.1
-"""A joint that moves by less is ignored."""
 SLOWEST_HZ, FASTEST_HZ = 5.0, 20_000.0
 """No training uses fewer samples a second, no arm sends more."""
 CREEP_RAD_S, FLIES_RAD_S = 0.02, 50.0
 """Implausible speeds of an arm's fastest joint during smooth motion."""
-SMOOTH = 0.2
-"""Largest relative change between successive steps of a motion that is sampled densely."""
 
 
 @dataclass(frozen=True)
@@ -144,14 +125,16 @@ def time_unit(recording: Recording) -> TimeUnit | None:
     q, dq, t = recording.q[rows], recording.dq[rows], recording.t_ns[rows]
     if len(t) < 100:
         return None
-    moving = np.ptp(np.percentile(q, [1, 99], axis=0), axis=0) > LEAST_RAD
+    moving = np.ptp(np.percentile(q, [1, 99], axis=0), axis=0) > 0.1
     if not moving.any():
         return None
     step_s = float(np.median(np.diff(t))) * 1e-9
     ratios = _ratios(q[:, moving], dq[:, moving], step_s)
-    if len(ratios) and np.ptp(np.log(ratios)) < 2 * AGREE:
+    # the joints' ratios must agree
+    if len(ratios) and np.ptp(np.log(ratios)) < 0.1:
         ratio = float(np.exp(np.median(np.log(ratios))))
-        factor = next((f for u in UNITS for f in (u, 1 / u) if abs(math.log(ratio / f)) < OFF), None)
+        # deg/s, 57.3, stays apart from minutes, 60
+        factor = next((f for u in UNITS for f in (u, 1 / u) if abs(math.log(ratio / f)) < 0.03), None)
         then_hz = factor / step_s if factor else 0.0
         if factor is not None and SLOWEST_HZ / 5 < then_hz < FASTEST_HZ * 5:
             evidence = (
@@ -189,7 +172,8 @@ def _impossible(q: np.ndarray, step_s: float, seconds: float) -> TimeUnit | None
     speed = np.abs(np.diff(q, axis=0)) / step_s
     fastest = float(np.percentile(speed, 99.5, axis=0).max())
     turns = np.abs(np.diff(q, 2, axis=0)).sum(axis=0) / np.maximum(np.abs(np.diff(q, axis=0)).sum(axis=0), 1e-12)
-    if float(turns.min()) > SMOOTH:
+    # successive steps of a motion that is sampled densely hardly differ
+    if float(turns.min()) > 0.2:
         return None
     slow = rate_hz < SLOWEST_HZ and fastest < CREEP_RAD_S
     fast = rate_hz > FASTEST_HZ and fastest > FLIES_RAD_S
@@ -260,8 +244,6 @@ def wrap_findings(recordings: Sequence[Recording]) -> tuple[list[Finding], list[
 # --- Degrees taken for radians, found from positions and their derivative alone, or against the robot file's limits.
 
 
-FASTEST_RAD_S = 20.0
-"""No arm's joint turns faster; the wrists of small, fast arms reach 17 rad/s."""
 WIDEST_RAD = 4.5 * math.pi
 """Cables allow a turn or two. One joint may turn further; two such joints suggest degrees."""
 
@@ -288,7 +270,8 @@ def degree_findings(
         within = np.all([((q >= low) & (q <= high)).all(axis=0) for q in turned], axis=0)
         beyond = within & (far > np.maximum(1.5 * np.abs(limits_rad).max(axis=1), 2 * math.pi))
     wide = far > WIDEST_RAD
-    certain = (fast > FASTEST_RAD_S) | (far > 2 * WIDEST_RAD)
+    # no arm's joint turns faster; the wrists of small, fast arms reach 17 rad/s
+    certain = (fast > 20.0) | (far > 2 * WIDEST_RAD)
     if wide.sum() >= 2 or beyond.sum() >= 2:
         certain |= wide | beyond
     if not certain.any():

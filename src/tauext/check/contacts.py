@@ -31,8 +31,6 @@ CUTOFF_HZ, ROWS_HZ = 10.0, 50.0
 END_S = 0.1
 """Left out at the ends of a stretch, four filter time constants: the filter lacks data there. A longer margin would
 hide an impact that ends a program."""
-WINDOW_S = 0.5
-LEAST_WINDOWS = 60
 USUAL = 90
 """Percentile of the windows' largest errors that counts as usual; friction at reversals makes it several times their
 spread."""
@@ -41,15 +39,6 @@ ALONE, SPREADS_ALONE = 5.0, 8.0
 error."""
 TOGETHER, SPREADS_TOGETHER = 4.0, 6.0
 """The same thresholds for two joints in one window: a contact also acts on the joints before its link."""
-LEAST_SHARE = 0.1
-"""Least error, as a share of the torque's spread or of its range in the window; steps of acceleration leave errors,
-too."""
-CRAWL_RAD_S = 0.05
-CRAWLS = 0.5
-"""Slow joints may stick and slip: below this speed, the error must exceed this share of the friction as well."""
-LISTED = 3
-SPOILING = ("stuck", "saturated", "smoothed", "clock-irregular", "repeated-rows", "quantised")
-"""Findings that explain an unexpected torque, so that it does not count as a contact."""
 
 
 def contact_findings(recordings: Sequence[Recording], called_free: Collection[str] = ()) -> list[Finding]:
@@ -102,17 +91,19 @@ def unlabelled_findings(recordings: Sequence[Recording], tree: _core.Tree | None
     )
     spread = np.maximum([robust_spread(x) for x in errors[free].T], 1e-12)
     errors[~(known & free[:, None])] = 0.0
-    number = np.unique((rows.time_s // WINDOW_S).astype(int), return_inverse=True)[1]
+    number = np.unique((rows.time_s // 0.5).astype(int), return_inverse=True)[1]
     windows = np.split(np.arange(len(number)), np.flatnonzero(np.diff(number)) + 1)
     largest = np.stack([np.abs(errors[at]).max(axis=0) for at in windows])
     moving = np.array([(np.abs(rows.dq[at]) > MOVING_RAD_S).any() for at in windows])
-    if moving.sum() < LEAST_WINDOWS:
+    if moving.sum() < 60:  # half a minute
         return []
     usual = np.maximum(np.percentile(largest[moving], USUAL, axis=0), 1e-12)
     swings = np.stack([np.ptp(rows.tau[at], axis=0) for at in windows])
-    crawls = np.stack([np.abs(rows.dq[at]).min(axis=0) < CRAWL_RAD_S for at in windows])
-    least = LEAST_SHARE * np.maximum(swings, rows.tau.std(axis=0))
-    seen = largest > least + CRAWLS * crawls * np.percentile(np.abs(friction), USUAL, axis=0)
+    crawls = np.stack([np.abs(rows.dq[at]).min(axis=0) < 0.05 for at in windows])
+    # steps of acceleration leave errors, too
+    least = 0.1 * np.maximum(swings, rows.tau.std(axis=0))
+    # slow joints may stick and slip: their errors must exceed half of the friction as well
+    seen = largest > least + 0.5 * crawls * np.percentile(np.abs(friction), USUAL, axis=0)
     times, spreads = largest / usual, largest / spread
     alone = seen & (times > ALONE) & (spreads > SPREADS_ALONE)
     together = seen & (times > TOGETHER) & (spreads > SPREADS_TOGETHER)
@@ -120,7 +111,7 @@ def unlabelled_findings(recordings: Sequence[Recording], tree: _core.Tree | None
     if not touched.any():
         return []
     begins = np.flatnonzero(touched & ~np.r_[False, touched[:-1]])
-    strongest = begins[np.argsort(-times[begins].max(axis=1))][:LISTED]
+    strongest = begins[np.argsort(-times[begins].max(axis=1))][:3]
     listed = [_described(rows, errors, windows[k], int(np.argmax(times[k])), times[k].max(), recordings)
             for k in strongest]  # fmt: skip
     what = "disturbance" if len(begins) == 1 else "disturbances"
@@ -138,11 +129,6 @@ def has_moved(stretch: Stretch) -> np.ndarray:
 def is_unlabelled_contact(finding: Finding) -> bool:
     """Whether `unlabelled_findings` made this finding."""
     return finding.code == "contact-in-free-motion" and finding.recording is None
-
-
-def spoils_contacts(findings: Collection[Finding]) -> bool:
-    """Whether faults of the signals prevent the search for contacts."""
-    return any(finding.code in SPOILING for finding in findings)
 
 
 def near_label(rows: FitRows, recordings: Sequence[Recording]) -> np.ndarray:

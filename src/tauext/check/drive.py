@@ -37,7 +37,7 @@ DRAWN = 5000
 """Most points in a figure."""
 PILED = 20
 """Fewest rows at exactly the full duty for a saturated drive."""
-OF_TORQUES = ("effort-scale", "effort-motor-side", "effort-limit", "payload-missing", "payload-absent")
+OF_TORQUES = ("effort-scale", "effort-motor-side", "payload")
 """Codes of findings that apply only to a torque in N m."""
 SIGN_BIT, FULL = 1024, 1000
 """Feetech's Present_Load: bit 10 is the sign, the rest is 0 to 1000."""

@@ -14,9 +14,9 @@ from tauext.check.joint_fit import (
     SIGN,
     FitRows,
     JointFit,
+    basis_of,
     columns_of,
     robust_solve,
-    solve,
     spread_of,
     torque_rows,
 )
@@ -82,30 +82,16 @@ def sign_vote(rows: FitRows, joint: int, fit: JointFit) -> SignVote:
 
 CERTAIN = 1.5
 """Sum of terms (standard errors times share of torque) that makes a sign certain; good data reach 3 to 6."""
-LIKELY = 1.0
-"""The same sum where the mean power of the torque is negative."""
-STRONG = 0.3
-"""Least spread of the model's gravity, as a share of the torque's spread, for judging its factor ..."""
-SHOWN = 0.2
-"""... or least spread of the fitted gravity, where all parts of the torque are small."""
 LOW, HIGH = 0.7, 1.45
 """Good torques have factors in this range, given payload, cables and rough models."""
 MOTOR_SIDE = 1 / 20
 """Factors below it mean torque before the gear: gear ratios exceed 30, and no joint's torque constant is so small in
 Nm/A."""
-ABSENT = 0.15
-"""Gravity factor below which there is no gravity in the torque ..."""
-ABSENT_SHARE = 0.2
-"""... unless gravity is this share of the torque; then the unit is too small."""
-FAR = 50.0
-"""Ratio of effort to model torque above which the unit is wrong; no friction of a loaded joint is so large."""
-LITTLE = 0.5
-"""Explained share of the variance below which an effort contains no gravity, friction or inertia."""
 
 
 def inverted(vote: SignVote) -> bool:
     """Whether the sign is inverted. Friction, inertia and mean power decide where they are conclusive, else gravity."""
-    if vote.motion < -LIKELY and vote.power_w < 0:
+    if vote.motion < -1.0 and vote.power_w < 0:
         return True
     if vote.motion < -CERTAIN:
         return vote.gravity < -CERTAIN
@@ -137,7 +123,7 @@ def strong_joints(rows: FitRows, fits: Sequence[JointFit]) -> list[int]:
         for j, fit in enumerate(fits)
         if fit.torque_nm > 0
         and rows.gravity[:, j].std() > 0.02 * rows.gravity.std(axis=0).max()
-        and (rows.gravity[:, j].std() > STRONG * fit.torque_nm or fit.gravity_nm > SHOWN * fit.torque_nm)
+        and (rows.gravity[:, j].std() > 0.3 * fit.torque_nm or fit.gravity_nm > 0.2 * fit.torque_nm)
     ]
 
 
@@ -146,7 +132,8 @@ def far_findings(rows: FitRows, joints: Sequence[str], fits: Sequence[JointFit],
     model_nm, gravity_nm = rows.model.std(axis=0), rows.gravity.std(axis=0)
     found = []
     for j, fit in enumerate(fits):
-        if gravity_nm[j] > 0.02 * gravity_nm.max() and fit.torque_nm > FAR * model_nm[j]:
+        # no friction of a loaded joint is so large
+        if gravity_nm[j] > 0.02 * gravity_nm.max() and fit.torque_nm > 50.0 * model_nm[j]:
             evidence = (
                 f"the effort varies by {fit.torque_nm:.3g} {unit}, gravity and inertia of the model by "
                 f"{model_nm[j]:.3g} Nm: {fit.torque_nm / model_nm[j]:.2g} times as much"
@@ -156,26 +143,22 @@ def far_findings(rows: FitRows, joints: Sequence[str], fits: Sequence[JointFit],
     return found
 
 
-LARGEST_NM = 2e4
-"""No joint of an arm turns with more, except those of a few giants."""
-APART = 100.0
-"""Ratio of two successive joints, sorted by the spread of their torque, that no arm has."""
-
-
-def unit_findings(joints: Sequence[str], fits: Sequence[JointFit], unit: str) -> list[Finding]:
+def unit_findings(joints: Sequence[str], fits: Sequence[JointFit]) -> list[Finding]:
     """Findings of efforts in another unit, without a model: impossible torques, or joints far apart from the others."""
     found = []
     advice = "another unit, mNm for instance: convert it to Nm at import"
     spread = np.array([fit.torque_nm for fit in fits])
     order = [j for j in np.argsort(-spread) if spread[j] > 0]
-    far = next((k for k in range(1, len(order)) if spread[order[k - 1]] > APART * spread[order[k]]), 0)
+    # no arm has two successive joints, sorted by the spread of their torque, that are so far apart
+    far = next((k for k in range(1, len(order)) if spread[order[k - 1]] > 100.0 * spread[order[k]]), 0)
     for j in sorted(order[:far]):
         next_nm, other = spread[order[far]], joints[order[far]]
-        evidence = f"the effort varies by {spread[j]:.3g} {unit}, that of '{other}' by {next_nm:.3g} {unit}"
+        evidence = f"the effort varies by {spread[j]:.3g} Nm, that of '{other}' by {next_nm:.3g} Nm"
         found.append(Finding("effort-scale", "fault", joints[j], evidence, advice))
     for j in order[far:]:
-        if spread[j] > LARGEST_NM:
-            evidence = f"the effort varies by {spread[j]:.3g} {unit}, more than any joint gives"
+        # no joint of an arm turns with more, [N m], except those of a few giants
+        if spread[j] > 2e4:
+            evidence = f"the effort varies by {spread[j]:.3g} Nm, more than any joint gives"
             found.append(Finding("effort-scale", "fault", joints[j], evidence, advice))
     return found
 
@@ -186,28 +169,23 @@ def kind_findings(
     """Findings of efforts without gravity or before the gear, and the strong joints without such a finding."""
     found, left = [], []
     for j in strong:
-        fit = fits[j]
-        factor, error = fit.gravity_factor
-        model_nm = float(rows.gravity[:, j].std())
-        gravity_evidence = (
-            f"gravity factor {factor:.3g} ± {error:.1g} where the model's gravity varies by {model_nm:.3g} Nm"
-        )
-        if abs(factor) < ABSENT and fit.explained < LITTLE:
-            evidence = (
-                f"{gravity_evidence}; gravity, inertia and friction explain {max(0.0, fit.explained):.0%} of the effort"
-            )
+        fit, (factor, error) = fits[j], fits[j].gravity_factor
+        code, absent = "effort-compensated", abs(factor) < 0.15
+        if absent and fit.explained < 0.5:
+            shown = f"; gravity, inertia and friction explain {max(0.0, fit.explained):.0%} of the effort"
             advice = "this is already an external torque or an error: record the motor's or joint's torque instead"
-            found.append(Finding("effort-external", "fault", joints[j], evidence, advice))
-        elif abs(factor) < ABSENT and fit.gravity_nm < ABSENT_SHARE * fit.torque_nm:
-            evidence = f"{gravity_evidence}; friction and inertia explain {fit.explained:.0%} of the effort"
+        elif absent and fit.gravity_nm < 0.2 * fit.torque_nm:  # with more gravity, the unit is too small
+            shown = f"; friction and inertia explain {fit.explained:.0%} of the effort"
             advice = "the driver subtracts gravity: record the uncompensated torque, or add g(q) of the model at import"
-            found.append(Finding("effort-gravity-compensated", "fault", joints[j], evidence, advice))
         elif 0 < factor < MOTOR_SIDE and error < 0.3 * factor:
-            evidence = f"{gravity_evidence}: 1 / {1 / factor:.3g}"
+            code, shown = "effort-motor-side", f": 1 / {1 / factor:.3g}"
             advice = f"the torque before the gear: multiply by the gear ratio (about {1 / factor:.3g}) at import"
-            found.append(Finding("effort-motor-side", "fault", joints[j], evidence, advice))
         else:
             left.append(j)
+            continue
+        model_nm = float(rows.gravity[:, j].std())
+        evidence = f"gravity factor {factor:.3g} ± {error:.1g} where the model's gravity varies by {model_nm:.3g} Nm"
+        found.append(Finding(code, "fault", joints[j], evidence + shown, advice))
     return found, left
 
 
@@ -234,21 +212,12 @@ def scale_findings(joints: Sequence[str], fits: Sequence[JointFit], judged: Sequ
 # --- Delay of the torque against the motion.
 
 
-LONGEST_S = 0.1
-STEPS = 10  # to either side
-LATE_S = 0.012
-"""Smallest reported delay, [s]: filter and bus cycle cause 1 to 5 ms; presliding and elasticity add apparent delay."""
-FALL = 0.95
-"""Largest ratio of errors, best lag to none, for a finding; friction at reversals lowers it on good clocks, too."""
-EXPLAINED = 0.7
-
-
 def torque_lags(stretches: Sequence[Stretch], rows: FitRows) -> list[tuple[float, float, float]]:
     """Per joint: lag of least error [s], that error as a share of the one at lag 0, and the share explained there.
 
     Without a model gravity is known roughly, and an error that falls up to the largest lag is no delay: share 1.
     """
-    lags = np.linspace(-LONGEST_S, LONGEST_S, 2 * STEPS + 1)
+    lags = np.linspace(-0.1, 0.1, 21)
     weights, torques = [], [torque_rows(stretches, lag) for lag in lags]
     errors = np.empty((len(lags), rows.joints))
     for j in range(rows.joints):
@@ -258,8 +227,7 @@ def torque_lags(stretches: Sequence[Stretch], rows: FitRows) -> list[tuple[float
         trust = robust_solve(columns, rows.tau[:, j])[1]
         root = np.sqrt(trust)
         size = np.maximum(np.sqrt((columns**2).mean(axis=0)), 1e-9)
-        basis, values, _ = np.linalg.svd(root[:, None] * columns / size, full_matrices=False)
-        basis = basis[:, values > 1e-6 * values[0]]
+        basis = basis_of(root[:, None] * columns / size)
         for k, torque in enumerate(torques):
             y = root * torque[:, j]
             errors[k, j] = np.sqrt(((y - basis @ (basis.T @ y)) ** 2).mean())
@@ -273,7 +241,7 @@ def torque_lags(stretches: Sequence[Stretch], rows: FitRows) -> list[tuple[float
             if a - 2 * b + c > 0:
                 shift = 0.5 * (a - c) / (a - 2 * b + c)
                 lag, least = lag + shift * (lags[1] - lags[0]), b - 0.25 * (a - c) * shift
-        zero = errors[STEPS, j]
+        zero = errors[len(lags) // 2, j]
         inside = rows.has_model or 0 < best < len(lags) - 1
         ratio = float(np.sqrt(max(least, 0)) / zero) if zero > 0 and inside else 1.0
         found.append((float(lag), ratio, 1 - max(least, 0) / max(weights[j] ** 2, 1e-18)))
@@ -284,10 +252,11 @@ def delay_findings(
     lags: Sequence[tuple[float, float, float]], joints: Sequence[str], period_s: float
 ) -> tuple[list[Finding], float]:
     """Findings of delays, and one lag for all joints [s]; 0: none."""
+    # filter and bus cycle cause 1 to 5 ms, presliding and elasticity more; friction at reversals lowers the error, too
     late = [
         (lag, j)
         for j, (lag, ratio, explained) in enumerate(lags)
-        if abs(lag) > max(LATE_S, 1.25 * period_s) and ratio < FALL and explained > EXPLAINED
+        if abs(lag) > max(0.012, 1.25 * period_s) and ratio < 0.95 and explained > 0.7
     ]
     found = []
     for lag, j in late:
@@ -301,177 +270,11 @@ def delay_findings(
     return found, common
 
 
-# --- Friction that changes with time, for example while a gear warms up.
-
-
-WINDOW_S = 60.0
-LEAST_WINDOWS = 7
-"""With five or six windows the standard error is too uncertain."""
-CHANGE = 0.1
-"""Smallest reported change over all data, as a share of the friction."""
-SURE = 5.0
-"""Smallest significant slope, [standard errors]."""
-SHARE = 0.15
-"""Friction below this share of the torque's spread is not followed."""
-
-
-def friction_by_time(rows: FitRows, joint: int, fit: JointFit) -> tuple[np.ndarray, np.ndarray]:
-    """Middle of each window [s], and its friction relative to all data."""
-    columns = slice(CONSTANT + 1, CONSTANT + FRICTION)
-    friction = columns_of(rows, joint)[:, columns] @ fit.weights[columns]
-    error = rows.tau[:, joint] - fit.predicted
-    window = ((rows.time_s - rows.time_s[0]) // WINDOW_S).astype(int)
-    times, shares = [], []
-    for k in np.unique(window):
-        at = window == k
-        power = float((friction[at] ** 2).sum())
-        if at.sum() > 200 and power > 0.1 * at.sum() * float((friction**2).mean()):
-            times.append(float(rows.time_s[at].mean()))
-            shares.append(1 + float(friction[at] @ error[at]) / power)
-    return np.array(times), np.array(shares)
-
-
-def drift_findings(
-    rows: FitRows, joints: Sequence[str], fits: Sequence[JointFit], recordings: Sequence[Recording]
-) -> list[Finding]:
-    found = []
-    for j, fit in enumerate(fits):
-        times, shares = friction_by_time(rows, j, fit)
-        if len(times) < LEAST_WINDOWS or fit.friction_nm < SHARE * fit.torque_nm:
-            continue
-        centred = times - times.mean()
-        slope = float(centred @ shares / (centred @ centred))
-        left = shares - shares.mean() - slope * centred
-        error = np.sqrt(float(left @ left) / max(1, len(times) - 2) / float(centred @ centred))
-        change = slope * float(np.ptp(times))
-        if abs(change) < CHANGE or abs(slope) < SURE * error:
-            continue
-        evidence = f"friction changes by {change:+.0%} in {np.ptp(times) / 60:.3g} minutes"
-        warm = [r.temperature[:, j] for r in recordings if r.temperature is not None]
-        if warm:
-            evidence += f", while the motor goes from {warm[0][0]:.1f} to {warm[-1][-1]:.1f} degrees Celsius"
-        advice = (
-            "train on warm and on cold motion, or warm the arm up first; the monitor's drift tracker follows the rest"
-        )
-        found.append(Finding("temperature-drift", "warning", joints[j], evidence, advice))
-    return found
-
-
-# --- Torque that the motion does not explain: an offset that grows, and steps that repeat.
-
-
-BLOCK_S = 5.0
-"""Errors within a block depend on each other: a program repeats its motion at such times."""
-LEAST_BLOCKS = 12
-GROWTH_SURE = 6.0
-"""Smallest significant growth, [standard errors]. Without a model, motion that changes with time reaches 4."""
-GROWTH = 1.0
-"""Smallest reported growth over the longest recording, relative to the usual error."""
-GROWTH_SHARE = 0.25
-"""Smallest reported growth in the time of all recordings, relative to the spread of the explained torque. A gear that
-warms up, with a wrong model, reaches 0.06."""
-ERROR_S = 0.5
-"""The largest error of each such time counts: its median is the usual error."""
-LEAST_ERRORS = 120
-STEPS_SHARE = 90
-"""Percentile of the errors that counts as a step's: 10 % of the time or more is off."""
-STEP_TIMES, STEP_TIMES_NO_MODEL = 6.0, 4.0
-"""Least size of a step, in usual errors. Friction at reversals reaches 5.3 with a model. Without one the usual error is
-that of gravity, and friction reaches 2.7."""
-CLOSEST, ROUNDS = 0.6, 10
-"""Share of the rows to which the model is fitted, those with the least errors: steps in a third of the time distort a
-fit to all rows."""
-STEP_SHARE = 0.5
-"""Least size of a step, relative to the spread of the torque that the motion explains."""
-
-
-def largest_errors(rows: FitRows, error: np.ndarray) -> np.ndarray:
-    """Largest |error| of each ERROR_S in which the arm moves, (times,)."""
-    starts = np.r_[0, 1 + np.flatnonzero(np.diff((rows.time_s // ERROR_S).astype(int)))]
-    moves = np.maximum.reduceat((np.abs(rows.dq) > MOVING_RAD_S).any(axis=1), starts)
-    largest: np.ndarray = np.maximum.reduceat(np.abs(error), starts)[moves]
-    return largest
-
-
-def growth_findings(rows: FitRows, joints: Sequence[str], fits: Sequence[JointFit], unit: str) -> list[Finding]:
-    """Findings of torques with an offset that grows steadily within the recordings.
-
-    The fit of motion and friction gets a term in time. Each recording has an offset of its own, so that motion which
-    differs between recordings is no growth. Blocks of the errors give the standard error.
-    """
-    recording = np.unique(rows.recording, return_inverse=True)[1]
-    rows_of_each = np.bincount(recording)
-    lengths_s = [float(np.ptp(rows.time_s[recording == k])) for k in range(len(rows_of_each))]
-    longest_s, all_s = max(lengths_s), sum(lengths_s)
-    block = np.unique(recording * 10**6 + (rows.time_s // BLOCK_S).astype(int), return_inverse=True)[1]
-
-    def centred(x: np.ndarray) -> np.ndarray:
-        return x - (np.bincount(recording, x) / rows_of_each)[recording]
-
-    if block.max() + 1 < LEAST_BLOCKS:
-        return []
-    time_s, found = centred(rows.time_s), []
-    for j, fit in enumerate(fits):
-        columns = np.column_stack([centred(column) for column in columns_of(rows, j).T])
-        columns[:, CONSTANT] = 1.0
-        torque = centred(rows.tau[:, j])
-        weights, trust = robust_solve(np.column_stack([columns, time_s]), torque)
-        growth, error = float(weights[-1]), torque - columns @ weights[:-1] - weights[-1] * time_s
-        root = np.sqrt(trust)
-        alone = time_s - columns @ np.linalg.lstsq(root[:, None] * columns, root * time_s, rcond=None)[0]
-        power = float(trust @ alone**2)
-        sigma = np.sqrt(float((np.bincount(block, trust * alone * error) ** 2).sum())) / max(power, 1e-12)
-        usual = float(np.median(largest_errors(rows, error)))
-        is_large = abs(growth) * longest_s > GROWTH * usual and abs(growth) * all_s > GROWTH_SHARE * fit.predicted.std()
-        if is_large and abs(growth) > GROWTH_SURE * sigma:
-            evidence = f"the torque's zero changes by {60 * growth:+.3g} ± {60 * sigma:.2g} {unit} a minute"
-            advice = (
-                "let electronics and arm warm up, repair or zero the sensor, then record again; a load that is filled "
-                "or emptied while recording does the same"
-            )
-            found.append(Finding("torque-drift", "fault", joints[j], evidence, advice))
-    return found
-
-
-def closest_fit(rows: FitRows, joint: int, predicted: np.ndarray) -> np.ndarray:
-    """Torque of a fit to the CLOSEST rows of this one, (rows,)."""
-    columns, torque = columns_of(rows, joint), rows.tau[:, joint]
-    for _ in range(ROUNDS):
-        error = np.abs(torque - predicted)
-        trust = np.where(error <= np.quantile(error, CLOSEST), 1.0, 1e-9)
-        predicted = columns @ solve(columns, torque, trust)
-    return predicted
-
-
-def step_findings(rows: FitRows, joints: Sequence[str], fits: Sequence[JointFit], unit: str) -> list[Finding]:
-    """Findings of torques that are off in some of the time by far more than in the rest of it."""
-    found = []
-    for j, fit in enumerate(fits):
-        predicted = closest_fit(rows, j, fit.predicted) if rows.has_model else fit.predicted
-        error = rows.tau[:, j] - predicted
-        largest = largest_errors(rows, error - np.median(error))
-        if len(largest) < LEAST_ERRORS:
-            continue
-        usual, step = np.percentile(largest, (50, STEPS_SHARE))
-        times = STEP_TIMES if rows.has_model else STEP_TIMES_NO_MODEL
-        if step > times * usual and step > STEP_SHARE * float(predicted.std()):
-            share = float((largest > 0.5 * step).mean())
-            evidence = f"off by {step:.3g} {unit} in {share:.0%} of the motion, by {usual:.2g} {unit} usually"
-            advice = (
-                "pushes, a second load or a faulty signal that no label names: label or cut these times, or record "
-                "motion that nothing touches"
-            )
-            found.append(Finding("torque-steps", "fault", joints[j], evidence, advice))
-    return found
-
-
 # --- Whether the arm moves enough, and long enough, for training.
 
 
-STANDING_RAD = 0.05
 LEAST_RANGE_RAD = 0.2
 LEAST_SPEED_RAD_S = 0.1
-LEAST_SHARE = 0.05
 SEARCH_S = 30.0
 """Motion needed to judge order, axes and delay of torque, [s]: with less, some arrangement fits by chance."""
 FRICTION_MIN, NETWORK_MIN = 1.0, 10.0
@@ -483,7 +286,7 @@ def excitation_findings(recordings: Sequence[Recording], stretches: Sequence[Str
     joints = recordings[0].joints
     ranges = np.max([np.ptp(r.q, axis=0) for r in recordings], axis=0)
     minutes = sum(r.duration_s for r in recordings) / 60
-    if ranges.max() < STANDING_RAD:
+    if ranges.max() < 0.05:
         evidence = f"the widest range of a joint is {ranges.max():.3g} rad in {minutes:.2g} minutes"
         advice = "an arm at rest gives the plain observer and its limits at this pose, no friction fit and no network"
         return [Finding("never-moves", "warning", None, evidence, advice)]
@@ -505,7 +308,7 @@ def _joint(joint: str, travelled_rad: float, dq: np.ndarray, seconds: np.ndarray
     forward, backward = float(seconds[dq > MOVING_RAD_S].sum()), float(seconds[dq < -MOVING_RAD_S].sum())
     speed, share = float(np.percentile(np.abs(dq), 99)), (forward + backward) / float(seconds.sum())
     one_way = min(forward, backward) < 0.05 * max(forward, backward)
-    if travelled_rad >= LEAST_RANGE_RAD and speed >= LEAST_SPEED_RAD_S and share >= LEAST_SHARE and not one_way:
+    if travelled_rad >= LEAST_RANGE_RAD and speed >= LEAST_SPEED_RAD_S and share >= 0.05 and not one_way:
         return []
     evidence = (
         f"range {travelled_rad:.3g} rad, speed up to {speed:.3g} rad/s, "

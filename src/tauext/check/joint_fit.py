@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -19,7 +19,6 @@ speed."""
 PRESLIDING_RAD = (5e-4, 5e-3)
 """Travel over which friction reverses, [rad]. Presliding states keep their value at rest, where sign(speed) is 0.
 Without them the fit would assign friction at rest to gravity."""
-PRESLIDING_RATE_HZ = 100.0
 END_S = 0.2
 FRICTION = 2 + len(COULOMB_SPEEDS_RAD_S) + len(PRESLIDING_RAD)  # constant, viscous, Coulomb, presliding
 
@@ -106,6 +105,12 @@ def model_of(
     return gravity, inertial
 
 
+def with_model(rows: FitRows, stretches: Sequence[Stretch], tree: _core.Tree) -> FitRows:
+    """The rows with the model's torques of this motion."""
+    gravity, inertial = model_of(stretches, tree)
+    return replace(rows, gravity=gravity, inertial=inertial)
+
+
 def _measured(stretch: Stretch, lag_s: float, cutoff_hz: float, rows_hz: float, end_s: float) -> tuple[np.ndarray, ...]:
     """Regressors of a stretch that need no model: time, recording, q, dq, tau, acceleration, friction."""
     q, dq, rate = stretch.q, stretch.dq, stretch.rate_hz
@@ -130,7 +135,7 @@ def presliding(q: np.ndarray, widths_rad: Sequence[float], rate_hz: float) -> np
     Stepped at PRESLIDING_RATE_HZ, since encoder noise at 1 kHz would distort them, and interpolated linearly. A state
     is 0 until the joint has moved far enough to determine it.
     """
-    every = max(1, int(rate_hz / PRESLIDING_RATE_HZ))
+    every = max(1, int(rate_hz / 100.0))
     states = _core.presliding_states(np.ascontiguousarray(q[::every]), widths_rad)
     if every == 1:
         return states
@@ -175,8 +180,6 @@ HUBER = 2.0
 """Rows with an error above twice the robust spread get less weight, so that a bump does not change a sign."""
 LEAST_ROWS = 100
 """Four seconds: fewer rows than that cannot be fitted."""
-LEAST_SINGULAR = 3e-3
-"""Smallest singular value used, as a share of the largest; weights along weaker directions stay 0."""
 CONSTANT = 3
 """Column of the constant."""
 SIGN = 2
@@ -235,9 +238,17 @@ def solve(columns: np.ndarray, torque: np.ndarray, trust: np.ndarray) -> np.ndar
     root = np.sqrt(share)
     weights = np.zeros(columns.shape[1])
     scaled = root[:, None] * centred[:, seen] / scale[seen]
-    weights[seen] = np.linalg.lstsq(scaled, root * (torque - level), rcond=LEAST_SINGULAR)[0] / scale[seen]
+    # weights along directions of smaller singular values stay 0
+    weights[seen] = np.linalg.lstsq(scaled, root * (torque - level), rcond=3e-3)[0] / scale[seen]
     weights[CONSTANT] = level - middle @ weights
     return weights
+
+
+def basis_of(columns: np.ndarray) -> np.ndarray:
+    """Orthonormal basis of scaled columns."""
+    basis, size, _ = np.linalg.svd(columns, full_matrices=False)
+    kept: np.ndarray = basis[:, size > 1e-6 * size[0]]
+    return kept
 
 
 def robust_spread(error: np.ndarray) -> float:

@@ -10,13 +10,6 @@ import numpy as np
 from tauext._core import Tree
 from tauext.data.recording import Recording
 
-SHOWN_S = 600.0
-"""Time of the recordings that is looked at, [s]."""
-ROWS = 20_000
-"""Rows for the correlations, spread evenly."""
-LEAST_SPREAD_NM = 1e-6
-"""A torque of gravity that varies by less is constant, and no correlation exists."""
-
 
 @dataclass(frozen=True)
 class JointMotion:
@@ -46,9 +39,9 @@ def joint_motions(recordings: Sequence[Recording], tree: Tree | None) -> list[Jo
     for recording in recordings:
         shown.append(recording)
         seconds += recording.duration_s
-        if seconds > SHOWN_S:
+        if seconds > 600.0:
             break
-    rows = [_rows(one, ROWS // len(shown)) for one in shown]
+    rows = [_rows(one, 20_000 // len(shown)) for one in shown]
     q, dq, tau, slopes = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     gravity = np.zeros_like(q) if tree is None else tree.momentum(q, np.zeros_like(q))[1]
 
@@ -86,7 +79,8 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> float:
         return float("nan")
     a, b = a - a.mean(), b - b.mean()
     size = float(np.linalg.norm(a) * np.linalg.norm(b))
-    return float(a @ b) / size if b.std() > LEAST_SPREAD_NM and size > 0 else float("nan")
+    # a torque of gravity that varies by less is constant
+    return float(a @ b) / size if b.std() > 1e-6 and size > 0 else float("nan")
 
 
 def cells(motions: Sequence[JointMotion], torque_unit: str) -> list[list[str]]:

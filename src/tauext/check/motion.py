@@ -31,8 +31,6 @@ MOVING_RAD_S = 0.02
 """Speed below which a joint rests."""
 CONTACT_MARGIN_S = 0.5
 """Time left out before and after a labelled contact: labels come late, and an arm springs back."""
-REPEATS_S = 0.25
-"""Longest run of repeated rows within a stretch."""
 SIGNALS = ("q", "dq", "tau", "q_raw", "dq_raw")
 GAP_PERIODS = 5.0
 """Step, in periods, that ends a stretch, as longer gaps cannot be interpolated."""
@@ -125,7 +123,8 @@ def _whole(recording: Recording, contacts: bool) -> list[np.ndarray]:
     step_ns = np.median(np.diff(recording.t_ns)) if recording.samples > 1 else 1
     period_ns = max(step_ns, 1e9 / recording.rate_hz)
     # rows left out in between are repeats, during which the clock continued
-    longest_ns = np.where(np.diff(rows) > 1, max(REPEATS_S * 1e9, GAP_PERIODS * period_ns), GAP_PERIODS * period_ns)
+    # longest run of repeated rows within a stretch
+    longest_ns = np.where(np.diff(rows) > 1, max(0.25 * 1e9, GAP_PERIODS * period_ns), GAP_PERIODS * period_ns)
     breaks = np.flatnonzero(np.diff(recording.t_ns[rows]) > longest_ns)
     return [part for part in np.split(rows, breaks + 1) if len(part) > 8]
 
@@ -153,15 +152,10 @@ def _even(recording: Recording, rows: np.ndarray, number: int, start_s: float) -
 # --- Velocity against the derivative of position: unit, sign, delay, order.
 
 
-LONGEST_LAG_S = 0.2
-LATE_S = 0.010
-"""A drive's velocity filter lags by 1 to 5 ms; from 10 ms, or a period and a quarter, prior and network suffer."""
 FACTOR_OFF = 0.1
 LEAST_CORRELATION = 0.9
 LEAST_SPEED_RAD_S = 0.02
 """Least RMS of the velocity for a comparison, [rad/s]; below is noise."""
-MUCH_FASTER = 3
-"""A recorded velocity this many times LEAST_SPEED_RAD_S is no noise, also where the position hardly moves."""
 DEGREES = 180 / math.pi
 
 
@@ -181,7 +175,7 @@ def compare(stretches: Sequence[Stretch], joint: int, of: int | None = None) -> 
     """
     of = joint if of is None else of
     rate = float(np.median([s.rate_hz for s in stretches]))
-    reach = max(2, math.ceil(LONGEST_LAG_S * rate))
+    reach = max(2, math.ceil(0.2 * rate))
     pairs = []
     for s in stretches:
         cutoff = min(FIT_CUTOFF_HZ, s.rate_hz / 6)
@@ -195,7 +189,8 @@ def compare(stretches: Sequence[Stretch], joint: int, of: int | None = None) -> 
     inner = np.concatenate([true[reach:-reach] for true, _ in pairs]) if pairs else np.zeros(1)
     power = float(inner @ inner)
     slow = power / len(inner) < LEAST_SPEED_RAD_S**2
-    if slow and (not power or float(np.mean(later(0) ** 2)) < (MUCH_FASTER * LEAST_SPEED_RAD_S) ** 2):
+    # a recorded velocity this much faster is no noise, also where the position hardly moves
+    if slow and (not power or float(np.mean(later(0) ** 2)) < (3 * LEAST_SPEED_RAD_S) ** 2):
         return None
 
     stride = max(1, reach // 20)
@@ -238,7 +233,8 @@ def velocity_findings(
                 Finding("velocity-unit", "fault", joint, f"{relation}{_guess(size)}", "convert it to rad/s at import")
             )
         rate = stretches[0].rate_hz
-        late = fit.correlation >= LEAST_CORRELATION and abs(fit.lag_s) > max(LATE_S, 1.25 / rate)
+        # a drive's filter lags by 1 to 5 ms; from 10 ms, or a period and a quarter, prior and network suffer
+        late = fit.correlation >= LEAST_CORRELATION and abs(fit.lag_s) > max(0.010, 1.25 / rate)
         if late:
             way = "after" if fit.lag_s > 0 else "before"
             evidence = f"velocity comes {abs(fit.lag_s) * 1e3:.0f} ms {way} the derivative of position"
@@ -275,33 +271,26 @@ def _guess(size: float) -> str:
 # --- An arm at rest: torque against the model's gravity, pose by pose.
 
 
-REST_RAD = 0.01
-"""Largest travel of a resting joint in WINDOW_S."""
-WINDOW_S = 1.0
-APART_RAD = 0.05
-"""Least distance of separate poses."""
-SEVERAL = 3
-"""Fewest poses for estimating friction from the part that gravity does not explain."""
 LOADED, LOADED_OF_SEVERAL = 0.2, 0.05
 """Least gravity torque as a share of the arm's largest; a gear's friction holds a tenth of that."""
 ALIKE = 2.5
 """Largest ratio of torque over gravity between joints, from friction, a tool or torque constants."""
-ABOVE_FRICTION = 3.0
 
 
 def poses_of(recordings: Sequence[Recording]) -> tuple[np.ndarray, np.ndarray]:
-    """Medians of position [rad] and torque [N m] of each pose, (poses, joints); labelled contacts are left out."""
+    """Medians of position [rad] and torque [N m] of each pose, (poses, joints): seconds in which no joint moves by 0.01
+    rad, poses 0.05 rad apart. Labelled contacts are left out."""
     poses: list[tuple[list[np.ndarray], list[np.ndarray]]] = []
     for r in recordings:
         free = np.ones(r.samples, dtype=bool) if r.contact is None else r.contact != 1
-        window = (r.time_s // WINDOW_S).astype(int)
+        window = (r.time_s // 1.0).astype(int)
         for k in np.unique(window):
             rows = (window == k) & free
-            if rows.sum() < 5 or np.ptp(r.q[rows], axis=0).max() > REST_RAD:
+            if rows.sum() < 5 or np.ptp(r.q[rows], axis=0).max() > 0.01:
                 continue
             q, tau = np.median(r.q[rows], axis=0), np.median(r.tau[rows], axis=0)
             for at, held in poses:
-                if np.abs(at[0] - q).max() < APART_RAD:
+                if np.abs(at[0] - q).max() < 0.05:
                     at.append(q)
                     held.append(tau)
                     break
@@ -330,9 +319,10 @@ def pose_findings(recordings: Sequence[Recording], tree: _core.Tree, joints: Seq
     left = np.sqrt(((tau - factor * gravity) ** 2).mean(axis=0))
     loaded = np.abs(gravity) > LOADED * most
     wrong = loaded.any(axis=0) & ((tau * gravity < 0) | ~loaded).all(axis=0) & _of_one_size(factor, loaded.any(axis=0))
-    if len(q) >= SEVERAL:
+    # enough poses to estimate friction from the part that gravity does not explain
+    if len(q) >= 3:
         load = np.sqrt(power / len(q))
-        wrong |= (load > LOADED_OF_SEVERAL * most) & (factor < 0) & (-factor * load > ABOVE_FRICTION * left)
+        wrong |= (load > LOADED_OF_SEVERAL * most) & (factor < 0) & (-factor * load > 3.0 * left)
     found = []
     for j in np.flatnonzero(wrong).tolist():
         k = int(np.argmax(np.abs(gravity[:, j])))

@@ -23,8 +23,6 @@ from tauext.robot.xml_file import read_xml
 # --- Masses, inertias and limits, which loading accepts as the file gives them.
 
 
-TRIANGLE = 1e-3
-"""Share by which a rounded principal inertia may exceed the sum of the others."""
 NEGLIGIBLE = 1e-3
 """Share of mass and inertia that a joint moves below which an impossible link changes nothing."""
 
@@ -56,7 +54,7 @@ def model_findings(bodies: Sequence[CarriedBody]) -> list[Finding]:
         for body in carried:
             if not 0 <= body.mass_kg < math.inf:
                 evidence = f"link '{body.name}': mass = {body.mass_kg:g} kg"
-                found.append(Finding("mass-missing", "fault", joint, evidence, "it must be > 0"))
+                found.append(Finding("inertia-impossible", "fault", joint, evidence, "it must be > 0"))
             problem = _impossible(body.inertia_kg_m2) if body.mass_kg > LEAST else None
             if problem:
                 negligible = _share(body, carried) <= NEGLIGIBLE
@@ -70,7 +68,7 @@ def model_findings(bodies: Sequence[CarriedBody]) -> list[Finding]:
         if all(abs(body.mass_kg) <= LEAST for body in carried):
             evidence = f"link '{carried[0].name}' and links fixed to it have no mass"
             advice = "give it its mass, centre of mass and inertia"
-            found.append(Finding("mass-missing", "fault", joint, evidence, advice))
+            found.append(Finding("inertia-impossible", "fault", joint, evidence, advice))
     return found
 
 
@@ -88,7 +86,8 @@ def _impossible(inertia: np.ndarray) -> str | None:
     values = ", ".join(f"{x:.3g}" for x in principal)
     if principal[0] <= LEAST:
         return f"principal inertias {values} kg m^2: not positive"
-    if principal[2] > (principal[0] + principal[1]) * (1 + TRIANGLE):
+    # share by which a rounded principal inertia may exceed the sum of the others
+    if principal[2] > (principal[0] + principal[1]) * (1 + 1e-3):
         return f"principal inertias {values} kg m^2: the largest exceeds the sum of the others"
     return None
 
@@ -162,7 +161,6 @@ def changed_findings(recordings: Sequence[Recording], path: Path) -> list[Findin
 
 
 POSITION_RAD = 0.05
-TORQUE_SHARE = 0.05
 LEAST_ROWS = 3
 
 
@@ -180,11 +178,11 @@ def limit_findings(recordings: Sequence[Recording], robot: RobotFile) -> list[Fi
                 f"{outside.mean():.1%} of the samples are outside"
             )
             advice = "a turn counted too many, another zero position, degrees, or limits of another arm"
-            found.append(Finding("position-limit", "warning", joint, evidence, advice))
-        over = tau > robot.torque_limits_nm[j] * (1 + TORQUE_SHARE)
+            found.append(Finding("beyond-limit", "warning", joint, evidence, advice))
+        over = tau > robot.torque_limits_nm[j] * (1 + 0.05)
         if over.sum() >= LEAST_ROWS:
             limit = robot.torque_limits_nm[j]
             evidence = f"torques up to {tau.max():.4g} {unit}, limit {limit:.4g} Nm; {over.mean():.1%} of the samples"
             advice = "another unit of the effort, or limits of another arm"
-            found.append(Finding("effort-limit", "warning", joint, evidence, advice))
+            found.append(Finding("beyond-limit", "warning", joint, evidence, advice))
     return found

@@ -23,46 +23,23 @@ PILED_ROWS, PILED_SHARE = 20, 3.0
 """A signal is saturated if at least so many rows lie at one extreme, and so many times more than in the adjacent
 hundredth of its range."""
 STUCK_S = 0.2
-"""A signal is stuck if it has not changed by a bit for this time while its joint turns by STUCK_RAD."""
-STUCK_RAD = 0.02
+"""A signal is stuck if it has not changed by a bit for this time while its joint turns by 0.02 rad."""
 STUCK_TIMES = 10.0
 """... and so many times longer than 99 % of its constant runs: a signal of few levels keeps each for a while."""
-CRUISE = 0.05
-"""Largest deviation of a position from the line of a truly constant velocity, as a share of the travel."""
 STRAIGHT, BEAT = 0.005, 0.2
 """Permitted error of such a velocity where the position follows a line of its own: velocities from encoder counts have
 a ripple, which is constant where counts come in step with the samples."""
-CLEAN = 1e-3
-"""Noise as a share of the torque's spread, below which the torque was smoothed; measured torques have 0.01 to 0.2."""
-CLEAN_RATE_HZ = 60.0
-"""Rate of the check, [Hz]: at lower rates motion fills the spectrum, at much higher ones a drive's filter empties its
-top."""
-COARSE = 0.1
-"""Step of the torque, as a share of its spread, from which it is coarse."""
 
 
-def sensor_findings(recordings: Sequence[Recording]) -> list[Finding]:
-    found = []
-    repeated = [repeated_rows(r) for r in recordings]
-    moving = [(np.abs(r.dq) > MOVING_RAD_S).any(axis=1) & ~rows for r, rows in zip(recordings, repeated, strict=True)]
-    for j, joint in enumerate(recordings[0].joints):
-        of_joint = (
-            _saturated(recordings, moving, j, joint),
-            _stuck(recordings, repeated, j, joint),
-            _coarse(recordings, j, joint),
-        )
-        for finding in of_joint:
-            if finding is not None:
-                found.append(finding)
-    return found + _smoothed(recordings)
+def saturated_findings(recordings: Sequence[Recording]) -> list[Finding]:
+    """Findings of saturated torques and velocities; a position at its extreme is a pose."""
+    moving = [(np.abs(r.dq) > MOVING_RAD_S).any(axis=1) & ~repeated_rows(r) for r in recordings]
+    found = (_saturated(recordings, moving, j, joint) for j, joint in enumerate(recordings[0].joints))
+    return [finding for finding in found if finding is not None]
 
 
 def _saturated(recordings: Sequence[Recording], moving: Sequence[np.ndarray], j: int, joint: str) -> Finding | None:
-    """Saturation of torque and velocity; a position at its extreme is a pose.
-
-    Args:
-        moving: samples of each recording, (samples,) bool, at which the arm moves.
-    """
+    """Saturation of one joint; `moving`: samples of each recording, (samples,) bool, at which the arm moves."""
     for signal, unit in (("tau", torque_unit(recordings)), ("dq", "rad/s")):
         x = np.concatenate([getattr(r, signal)[m, j] for r, m in zip(recordings, moving, strict=True)])
         if len(x) < 100 or np.ptp(x) == 0:
@@ -98,12 +75,18 @@ def _faster_than_limit(recordings: Sequence[Recording], j: int, side: int, limit
     return False
 
 
+def stuck_findings(recordings: Sequence[Recording]) -> list[Finding]:
+    repeated = [repeated_rows(r) for r in recordings]
+    found = (_stuck(recordings, repeated, j, joint) for j, joint in enumerate(recordings[0].joints))
+    return [finding for finding in found if finding is not None]
+
+
 def _stuck(recordings: Sequence[Recording], repeated: Sequence[np.ndarray], j: int, joint: str) -> Finding | None:
     count, longest, longest_run = 0, 0.0, ""
     ends = {name: _ends(recordings, name, j) for name in ("tau", "dq")}  # there a signal is saturated, not stuck
     # Torque from a servo's counts stays 0 while the current is small: no fault either.
     counted = any(makes_torque(r) for r in recordings)
-    signals = ("q", "dq") if counted or _is_coarse(recordings, j) else ("q", "dq", "tau")
+    signals = ("q", "dq") if counted or _coarse_step(recordings, j) else ("q", "dq", "tau")
     velocity_step = min((_least_step(r.dq[:, j]) for r in recordings), default=0.0)
     for r, whole in zip(recordings, repeated, strict=True):
         travelled = {"q": r.dq, "dq": r.q, "tau": r.q}
@@ -120,9 +103,9 @@ def _stuck(recordings: Sequence[Recording], repeated: Sequence[np.ndarray], j: i
                     continue
                 other = travelled[signal][first : last + 1, j]
                 way = abs(float(other.mean())) * seconds if signal == "q" else float(np.ptp(other))
-                if way < STUCK_RAD:
+                if way < 0.02:
                     continue
-                if signal == "dq" and _cruises(r, j, first, last, max(CRUISE * way, velocity_step * seconds)):
+                if signal == "dq" and _cruises(r, j, first, last, max(0.05 * way, velocity_step * seconds)):
                     continue
                 count += 1
                 if seconds > longest:
@@ -165,21 +148,23 @@ def _ends(recordings: Sequence[Recording], signal: str, j: int) -> tuple[float, 
     return (low, high) if low < high else (math.nan, math.nan)  # a signal that never changes has no ends
 
 
-def _is_coarse(recordings: Sequence[Recording], j: int) -> bool:
-    step = torque_step_nm(recordings, j)
-    return step is not None and step >= COARSE * float(np.concatenate([r.tau[:, j] for r in recordings]).std())
+def _coarse_step(recordings: Sequence[Recording], j: int) -> tuple[float, float] | None:
+    """Step of a coarse torque, and the torque's spread; None: it is not coarse."""
+    step, spread = torque_step_nm(recordings, j), float(np.concatenate([r.tau[:, j] for r in recordings]).std())
+    return (step, spread) if step is not None and step >= 0.1 * spread else None
 
 
-def _coarse(recordings: Sequence[Recording], j: int, joint: str) -> Finding | None:
-    spread = float(np.concatenate([r.tau[:, j] for r in recordings]).std())
-    moves = max(float(np.ptp(r.q[:, j])) for r in recordings) > 0.1
-    step = torque_step_nm(recordings, j)
-    if step is None or not moves or not _is_coarse(recordings, j):
-        return None
-    unit = torque_unit(recordings)
-    evidence = f"whole multiples of {step:.4g} {unit}, where the torque's spread is {spread:.4g} {unit}"
+def coarse_torques(recordings: Sequence[Recording]) -> list[Finding]:
+    """Findings of torques of few levels."""
+    found, unit = [], torque_unit(recordings)
     advice = "pushes below a step or two are not detected; is there a finer signal, a current for instance?"
-    return Finding("quantised", "warning", joint, evidence, advice)
+    for j, joint in enumerate(recordings[0].joints):
+        coarse = _coarse_step(recordings, j)
+        if coarse is not None and max(float(np.ptp(r.q[:, j])) for r in recordings) > 0.1:
+            step, spread = (f"{x:.4g} {unit}" for x in coarse)
+            evidence = f"the torque has whole multiples of {step}, and a spread of {spread}"
+            found.append(Finding("resolution", "warning", joint, evidence, advice))
+    return found
 
 
 def noise_nm(recordings: Sequence[Recording]) -> np.ndarray:
@@ -194,13 +179,15 @@ def noise_nm(recordings: Sequence[Recording]) -> np.ndarray:
     return np.sqrt(total[0] / max(rows, 1))
 
 
-def _smoothed(recordings: Sequence[Recording]) -> list[Finding]:
+def smoothed_findings(recordings: Sequence[Recording]) -> list[Finding]:
+    """Finding of torques with less noise than a measurement has, 0.01 to 0.2 of the torque's spread."""
     tau = np.concatenate([r.tau for r in recordings])
-    if len(tau) < 500 or recordings[0].rate_hz < CLEAN_RATE_HZ:
+    # at lower rates, [Hz], motion fills the spectrum
+    if len(tau) < 500 or recordings[0].rate_hz < 60.0:
         return []
     noise, spread = noise_nm(recordings), tau.std(axis=0)
     moves = np.max([np.ptp(r.q, axis=0) for r in recordings], axis=0) > 0.1
-    clean = moves & (spread > 0) & (noise < CLEAN * spread)
+    clean = moves & (spread > 0) & (noise < 1e-3 * spread)
     if not clean.any():
         return []
     evidence = (
@@ -213,7 +200,7 @@ def _smoothed(recordings: Sequence[Recording]) -> list[Finding]:
         "and the filter's delay is unknown; record the raw signal"
     )
     joint = recordings[0].joints[int(np.argmax(clean))] if clean.sum() == 1 else None
-    return [Finding("smoothed", "warning", joint, evidence, advice)]
+    return [Finding("resolution", "warning", joint, evidence, advice)]
 
 
 def _empty_above(recordings: Sequence[Recording], joints: np.ndarray) -> float:
@@ -233,8 +220,6 @@ ROUNDED = math.sqrt(12)
 """Step divided by the standard deviation of the rounding error."""
 LINE_S = 0.1
 """Time over which a line is fitted to positions, [s]; motion of arms changes more slowly."""
-BETTER = 2.0
-"""Factor by which that line's speed must be more accurate to be advised."""
 
 
 def steps_of(recordings: Sequence[Recording], j: int) -> tuple[float | None, float | None]:
@@ -249,7 +234,7 @@ def speed_error_rad_s(step_rad: float, rate_hz: float) -> float:
     return step_rad / ROUNDED * math.sqrt(12 / (n * (n * n - 1))) * rate_hz
 
 
-def coarse_findings(recordings: Sequence[Recording]) -> list[Finding]:
+def coarse_velocities(recordings: Sequence[Recording]) -> list[Finding]:
     """Findings of velocities whose step exceeds all speeds near stiction, so that a creeping joint reads 0."""
     if any(map(derives_velocity, recordings)):
         return []  # derived already
@@ -260,9 +245,9 @@ def coarse_findings(recordings: Sequence[Recording]) -> list[Finding]:
             continue
         rate_hz = recordings[0].rate_hz
         line_rad_s = speed_error_rad_s(position_rad or 0.0, rate_hz)
-        if velocity_rad_s / ROUNDED < BETTER * line_rad_s:
+        if velocity_rad_s / ROUNDED < 2.0 * line_rad_s:
             continue
-        evidence = f"it counts in steps of {velocity_rad_s:.3g} rad/s: off by {velocity_rad_s / ROUNDED:.2g}"
+        evidence = f"the velocity counts in steps of {velocity_rad_s:.3g} rad/s: off by {velocity_rad_s / ROUNDED:.2g}"
         if position_rad is not None:
             evidence += (
                 f", where {LINE_S:g} s of positions in steps of {position_rad:.3g} rad at {rate_hz:.0f} Hz give it to "
@@ -272,7 +257,7 @@ def coarse_findings(recordings: Sequence[Recording]) -> list[Finding]:
             "leave the columns of [signals.dq] in arm.toml empty: the velocity is then derived from position; with "
             "[servo] over as many samples as its steps require"
         )
-        found.append(Finding("coarse-velocity", "warning", joint, evidence, advice))
+        found.append(Finding("resolution", "warning", joint, evidence, advice))
     return found
 
 
@@ -283,23 +268,16 @@ LONGEST_S = 0.012
 """Longest spike of the torque, [s]; a single sample always may be one. Stops and impacts last 30 ms and more."""
 LONGEST_IMPOSSIBLE_S, LONGEST_IMPOSSIBLE_ROWS = 0.3, 300
 """Longest spike of positions that jump back, and of velocities that the position does not follow, [s]."""
-RETURNED = 0.35
-"""Largest relative difference between a jump and the jump back."""
 USUAL = 99.0
 """Percentile of a recording's jumps that counts as usual: noise, steps of a current, chatter of an encoder."""
-TIMES_USUAL = 6.0
-"""White noise of a million samples reaches 2.5 times its own percentile."""
 SHARE = 0.5
 """Smallest jump of a torque or velocity that matters, as a share of its normal range."""
 REPORTED_BEYOND = 1.5
 """... and its least distance from the normal range, counted as BEYOND: a jump within it changes no limit."""
-SPARSE = 2.0
-"""Times SHARE, where a single sample is longer than LONGEST_S."""
 LEAST_STEPS = 3.0
 """A jump has more steps than this, where a signal has steps ..."""
 LEAST_NM = 0.01
 """... and exceeds this share of the strongest joint's normal range, since a joint at rest has no range."""
-LEAST_RAD_S = 0.1
 LEAST_RAD, FASTEST_RAD_S2 = 1e-3, 200.0
 """Smallest jump of a position, [rad]; it must also exceed what an impact causes within a sample."""
 NORMAL = 0.5
@@ -307,20 +285,10 @@ NORMAL = 0.5
 BEYOND = 5.0
 """Distance from the middle of the normal range, in half ranges, from which a spike is a fault. A lightly loaded joint
 reaches 3 in a hard stop."""
-SPEED_RAD_S = 20.0
-"""No joint turns faster, [rad/s]: such a jump of position would raise a collision alarm."""
 DRIVE = 1.5
 """Multiple of the robot file's effort limit that exceeds a drive's short peak."""
-EXTREME = 20.0
-"""Multiple of half the normal range: a fault of any length if it is rare and begins or ends with a jump."""
-RARE = 1e-3
-"""Largest share of the samples that is rare, or FEW_ROWS."""
-FEW_ROWS = 10
-GAP = 3.0
-"""Steps of more than three periods: a change across them is no jump."""
 LARGEST = 1e6
 """Largest accepted magnitude of any signal, in any unit."""
-LISTED = 3
 UNITS = {"tau": "Nm", "q": "rad", "dq": "rad/s"}
 NAMES = {"tau": "torque", "q": "position", "dq": "velocity"}
 
@@ -370,7 +338,7 @@ def spikes_of(
         return []
     steps_s = np.diff(recording.t_ns[rows]) * 1e-9
     found = []
-    least = {"tau": LEAST_NM * max(x.half for x in normal["tau"]), "dq": LEAST_RAD_S, "q": LEAST_RAD}
+    least = {"tau": LEAST_NM * max(x.half for x in normal["tau"]), "dq": 0.1, "q": LEAST_RAD}
     for signal in UNITS:
         if signal == "dq" and derives_velocity(recording):
             continue  # it adds no information, and one count of the position is a jump of the velocity
@@ -391,13 +359,15 @@ def _of_signal(
 ) -> Spikes | None:
     period = float(np.median(steps_s))
     leap = np.diff(x)
-    leap[steps_s > GAP * period] = 0.0
+    # steps of more than three periods: a change across them is no jump
+    leap[steps_s > 3.0 * period] = 0.0
     sparse = period > LONGEST_S
-    far_enough = FASTEST_RAD_S2 * period**2 if signal == "q" else SHARE * (SPARSE if sparse else 1) * 2 * normal.half
+    far_enough = FASTEST_RAD_S2 * period**2 if signal == "q" else SHARE * (2.0 if sparse else 1) * 2 * normal.half
     if signal == "q":  # a spike is a reversal at more than full speed
         far_enough = max(far_enough, float(np.percentile(np.abs(leap), 100 - NORMAL)))
     sizes = np.abs(leap[leap != 0])
-    least = max(least, far_enough, TIMES_USUAL * _usual(leap), LEAST_STEPS * float(sizes.min()) if len(sizes) else 0.0)
+    # white noise of a million samples reaches 2.5 times its usual jump
+    least = max(least, far_enough, 6.0 * _usual(leap), LEAST_STEPS * float(sizes.min()) if len(sizes) else 0.0)
     short = max(1, int(LONGEST_S / period))
     longest = short if signal == "tau" else min(LONGEST_IMPOSSIBLE_ROWS, max(1, int(LONGEST_IMPOSSIBLE_S / period)))
     runs = _runs(leap, least, longest)
@@ -418,7 +388,8 @@ def _of_signal(
         return None
     fault = beyond > BEYOND or float(np.abs(x[at]).max()) > DRIVE * limit
     if signal == "q":
-        fault = bool(np.abs(x[at] - before).max() > SPEED_RAD_S * period)
+        # no joint turns faster, [rad/s]: such a jump of position would raise a collision alarm
+        fault = bool(np.abs(x[at] - before).max() > 20.0 * period)
     return Spikes(signal, j, at, before, beyond, "fault" if fault else "warning")
 
 
@@ -439,7 +410,7 @@ def _runs(leap: np.ndarray, least: float, longest: int) -> list[tuple[int, int]]
         for back, down in zip(rows[i + 1 : i + 1 + longest], sizes[i + 1 : i + 1 + longest], strict=True):
             if back - first > longest:
                 break
-            if (up < 0) != (down < 0) and abs(up + down) < RETURNED * min(abs(up), abs(down)):
+            if (up < 0) != (down < 0) and abs(up + down) < 0.35 * min(abs(up), abs(down)):
                 found.append((first + 1, back + 1))
                 break
     return found
@@ -455,8 +426,8 @@ def _followed(dq: np.ndarray, q: np.ndarray, period: float, first: int, last: in
 
 def _extreme_runs(far: np.ndarray, leap: np.ndarray, half: float, limit: float) -> list[tuple[int, int]]:
     """Runs far outside the normal range, of any length, that begin or end with a jump."""
-    beyond = (far > EXTREME * half) | (far > max(DRIVE * limit, BEYOND * half) + half)
-    if half == 0 or not beyond.any() or beyond.sum() > max(FEW_ROWS, RARE * len(far)):
+    beyond = (far > 20.0 * half) | (far > max(DRIVE * limit, BEYOND * half) + half)
+    if half == 0 or not beyond.any() or beyond.sum() > max(10, 1e-3 * len(far)):
         return []
     jump = np.r_[0.0, np.abs(leap), 0.0]
     return [
@@ -483,7 +454,7 @@ def spike_findings(recording: Recording, spikes: Sequence[Spikes], normal: dict[
 def _described(recording: Recording, spikes: Spikes, normal: Normal) -> str:
     x, j = getattr(recording, spikes.signal), spikes.joint
     unit = torque_unit([recording]) if spikes.signal == "tau" else UNITS[spikes.signal]
-    order = np.argsort(-np.abs(x[spikes.rows, j] - spikes.before))[:LISTED]
+    order = np.argsort(-np.abs(x[spikes.rows, j] - spikes.before))[:3]
     parts = [
         f"{x[spikes.rows[k], j]:.4g} {unit} at {recording.time_s[spikes.rows[k]]:.3f} s beside {spikes.before[k]:.4g}"
         for k in order.tolist()

@@ -26,7 +26,6 @@ from tauext.errors import ConfigError, FaultyDataError, TauextError
 SUMMARY = "External joint torque and collision detection for robot arms, from encoders and motor torque alone."
 NOTES = """\
 Order of work: import (or simulate), check, train, then run or monitor; evaluate and report show how good a bundle is.
-Paths may be URLs of an object store: s3://, gs://, abfs://.
 Existing output: bundles, results and reports are replaced, and named on stderr first; datasets and descriptions are
 refused; flights and recordings get another name.
 After an interruption, run the same command again: at most 30 s of simulating, training a network, calibrating or
@@ -113,6 +112,8 @@ def understood(command: Callable[..., Any], prog: str, arguments: Sequence[str])
     """
     import tyro
 
+    from tauext.cli.arguments import TYPES
+
     markers = (tyro.conf.DisallowNone, tyro.conf.FlagCreatePairsOff)  # no {None} and no --no-json in the help
 
     @functools.wraps(command)
@@ -122,7 +123,7 @@ def understood(command: Callable[..., Any], prog: str, arguments: Sequence[str])
     printed = StringIO()
     try:
         with redirect_stderr(printed):
-            call: Callable[[], Any] = tyro.cli(later, prog=prog, args=list(arguments), config=markers)
+            call: Callable[[], Any] = tyro.cli(later, prog=prog, args=list(arguments), config=markers, registry=TYPES)
     except SystemExit as stop:
         if not stop.code:
             raise
@@ -136,7 +137,7 @@ def understood(command: Callable[..., Any], prog: str, arguments: Sequence[str])
 def main(argv: list[str] | None = None) -> int:
     """Run one command and return its exit status.
 
-    0 done, 1 a fault (check) or a failed arm (fleet), 2 bad input (one line on stderr), 130 interrupted, 141 no reader.
+    0 done, 1 a fault or failure in the data, 2 bad input (one line on stderr), 130 interrupted, 141 no reader.
     """
     argv = sys.argv[1:] if argv is None else argv
     # Range checks report an overflow; the interpreter's own warnings add nothing.

@@ -5,11 +5,11 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from tauext import plugins
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
         "train": Command("train a bundle on a dataset's free motion", "tauext.cli.train:train"),
         "calibrate": Command("set other limits in a trained bundle", "tauext.cli.train:calibrate"),
         "refit": Command("update a bundle's friction with a minute of today's motion", "tauext.cli.train:refit"),
-        "show": Command("print a bundle, a recording, a fleet prior or a commissioned arm", "tauext.cli.show:show"),
+        "show": Command("print a bundle, a recording, a prior or a commissioned arm", "tauext.cli.show:show"),
     },
     "Monitor": {
         "run": Command("run the monitor on recordings", "tauext.cli.run:run"),
@@ -99,7 +99,7 @@ def command_named(name: str) -> Command | None:
     return plugins.named(name, OWN, plugins.COMMANDS, Command)
 
 
-def folders_like(folder: Place) -> Folders | None:
+def folders_like(folder: Path) -> Folders | None:
     """What other commands do with this folder; None: no command makes such folders.
 
     Raises:

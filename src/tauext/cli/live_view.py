@@ -15,7 +15,6 @@ from tauext._core import cause_names
 from tauext.bundle.estimates import ALARMS, HEALTHS
 from tauext.bundle.units import SEVERAL, of_all, short
 from tauext.cli.text_lines import TextLines
-from tauext.files.places import Place
 from tauext.monitor.explanation import readable
 from tauext.monitor.monitored_time import percent
 from tauext.monitor.replay import Chunk, Tally
@@ -30,7 +29,7 @@ ALARM_STYLES = {"none": "green", "contact": "bold yellow", "collision": "bold wh
 class LiveView(TextLines):
     """Text lines, with a panel below them that is redrawn ten times a second."""
 
-    def __init__(self, flights: Place | Path | None = None, acknowledges: bool = False, console: Console | None = None):
+    def __init__(self, flights: Path | None = None, acknowledges: bool = False, console: Console | None = None):
         super().__init__(flights, acknowledges)
         self._console = console or Console()
         self._live = Live(console=self._console, auto_refresh=False, transient=True)

@@ -3,33 +3,32 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from tauext._core import LoadSums
-from tauext.cli.place_argument import BundleArg, JsonArg, PlaceArg, RecordingsArg, expect_another, write_another
+from tauext._core import LoadFound
+from tauext.cli.arguments import BundleArg, JsonArg, RecordingsArg, expect_another, write_another
 from tauext.config import require
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 
 if TYPE_CHECKING:
-    from tauext._core import Bundle
-    from tauext.monitor.known_load import KnownWeight
-    from tauext.monitor.weighing import LoadEstimate, NamedFrame, Seen
+    from tauext._core import Bundle, KnownWeight
+    from tauext.monitor.weighing import NamedFrame, WeighedMotion
 
 # --- `tauext load --known-kg`: torque constants from a known weight.
 
 
 def set_constants(
     bundle: Bundle,
-    path: Place,
+    path: Path,
     where: NamedFrame,
-    parts: list[Seen],
+    parts: list[WeighedMotion],
     mass_kg: float,
     com_m: tuple[float, float, float] | None,
     reach_m: float,
-    out: Place | None,
+    out: Path | None,
     as_json: bool,
 ) -> None:
     """Find the factors, print them, and write a bundle with the common factor if `out` is given.
@@ -37,17 +36,18 @@ def set_constants(
     Raises:
         ConfigError: the weight does not determine the factors, or the new bundle cannot be written.
     """
-    from tauext.monitor.known_load import corrected_bundle, weigh_constants, with_provenance
+    from tauext._core import corrected_bundle
+    from tauext.monitor.known_load import corrected_constants, weigh_constants, with_provenance
 
     if out is not None:  # refused before anything is computed
         expect_another(out, path, "correct")
     known = weigh_constants(bundle, where, parts, mass_kg, com_m, reach_m)
-    constants = known.constants(bundle)
+    constants, left_out = corrected_constants(bundle, known), not_used(bundle)
     joints = [link.joint_name for link in bundle.links]
     if as_json:
-        print(json.dumps(known_facts(known, joints, constants), indent=1))
+        print(json.dumps(known_facts(known, joints, constants, left_out), indent=1))
     else:
-        for line in known_sentences(known, joints, mass_kg, constants):
+        for line in known_sentences(known, joints, mass_kg, constants, left_out):
             print(line)
     if out is not None:
         new = corrected_bundle(bundle, known)
@@ -57,27 +57,35 @@ def set_constants(
             print(out)
 
 
-def known_sentences(known: KnownWeight, joints: list[str], mass_kg: float, constants: list[float]) -> list[str]:
+def not_used(bundle: Bundle) -> list[str]:
+    """Names of the joints that weigh nothing, since their torque constants are unknown."""
+    from tauext.monitor.weighing import weighing_joints
+
+    return [link.joint_name for link, weighs in zip(bundle.links, weighing_joints(bundle), strict=True) if not weighs]
+
+
+def known_sentences(
+    known: KnownWeight, joints: list[str], mass_kg: float, constants: list[float], left_out: list[str]
+) -> list[str]:
     """The factors in words, and what to do where one for all joints is not enough."""
+    from tauext.monitor.known_load import one_factor
+
     lines = [
         f"with {mass_kg:g} kg known, multiply the torques of all joints by {known.common:.3f} "
         f"± {known.common_error:.3f}"
     ]
     own = [
         f"{joint} {factor:.3f} ± {error:.3f}" if shows else f"{joint} same as all"
-        for joint, factor, error, shows, skipped in zip(
-            joints, known.factors, known.errors, known.shows, known.skipped, strict=True
-        )
-        if not skipped
+        for joint, factor, error, shows in zip(joints, known.factors, known.errors, known.shows, strict=True)
+        if joint not in left_out
     ]
     lines.append(f"joint by joint: {', '.join(own)}")
-    left_out = [joint for joint, skipped in zip(joints, known.skipped, strict=True) if skipped]
     if left_out:
         lines.append(
             f"skipped: {', '.join(left_out)}, whose torque constants remain unknown; a new bundle multiplies their "
             "numbers by the common factor, so that their limits hold"
         )
-    if not known.one_factor and not left_out:
+    elif not one_factor(known):
         given = " ".join(f"{constant:.5g}" for constant in constants)
         lines.append(
             "the factors differ by more than their standard errors, which leave out that the bundle was trained with "
@@ -86,17 +94,21 @@ def known_sentences(known: KnownWeight, joints: list[str], mass_kg: float, const
     return lines
 
 
-def known_facts(known: KnownWeight, joints: list[str], constants: list[float]) -> dict:
+def known_facts(known: KnownWeight, joints: list[str], constants: list[float], left_out: list[str]) -> dict:
     """The factors as plain JSON."""
+    from tauext.monitor.known_load import one_factor
+
     return {
         "factor": known.common,
         "standard_error": known.common_error,
         "joints": {
-            joint: {"factor": float(f), "standard_error": float(e), "shows": bool(s), "nm_per_unit": c}
-            for joint, f, e, s, c in zip(joints, known.factors, known.errors, known.shows, constants, strict=True)
+            joint: {"factor": f, "standard_error": e, "shows": shows, "nm_per_unit": constant}
+            for joint, f, e, shows, constant in zip(
+                joints, known.factors.tolist(), known.errors.tolist(), known.shows, constants, strict=True
+            )
         },
-        "left_out": [joint for joint, skipped in zip(joints, known.skipped, strict=True) if skipped],
-        "one_factor": known.one_factor,
+        "left_out": left_out,
+        "one_factor": one_factor(known),
         "com_m": known.com_m.tolist(),
     }
 
@@ -110,10 +122,10 @@ def load(
     from_s: Annotated[float | None, tyro.conf.arg(name="from")] = None,
     to_s: Annotated[float | None, tyro.conf.arg(name="to")] = None,
     frame: str | None = None,
-    reach_m: float = LoadSums.USUAL_REACH_M,
+    reach_m: float = LoadFound.USUAL_REACH_M,
     known_kg: float | None = None,
     known_com_m: tuple[float, float, float] | None = None,
-    out: PlaceArg | None = None,
+    out: Path | None = None,
     as_json: JsonArg = False,
 ) -> None:
     """Weigh the arm's payload: mass and centre of mass, from seconds of ordinary motion or several standing poses.
@@ -158,15 +170,14 @@ def load(
         set_constants(loaded, bundle, where, parts, known_kg, known_com_m, reach_m, out, as_json)
 
 
-def weigh(bundle: Bundle, where: NamedFrame, parts: list[Seen], reach_m: float, as_json: bool) -> None:
+def weigh(bundle: Bundle, where: NamedFrame, parts: list[WeighedMotion], reach_m: float, as_json: bool) -> None:
     """Print the load from all of the motion, and from each window alone."""
     from tauext.monitor.weighing import each_window, identify, load_facts, load_sentences, mass_words, weighing_joints
 
     found = identify(bundle, where, parts, reach_m)
     alone = each_window(bundle, where, parts, found) if found.verdict == "load" else []
-    weighing = weighing_joints(bundle)
-    unit = bundle.estimate_units[int(weighing.argmax())]
-    left_out = [link.joint_name for link, weighs in zip(bundle.links, weighing, strict=True) if not weighs]
+    unit = bundle.estimate_units[int(weighing_joints(bundle).argmax())]
+    left_out = not_used(bundle)
     if as_json:
         windows = [{"recording": name, "from_s": start} | load_facts(own) for name, start, own in alone]
         facts = {"frame": where.name, "unit": unit, "left_out": left_out} | load_facts(found) | {"windows": windows}
@@ -184,7 +195,7 @@ def weigh(bundle: Bundle, where: NamedFrame, parts: list[Seen], reach_m: float, 
             print(f"  {name} from {start:.1f} s: {mass} at ({com}) mm, {own.verdict}")
 
 
-def scatter_sentence(alone: list[tuple[str, float, LoadEstimate]]) -> str:
+def scatter_sentence(alone: list[tuple[str, float, LoadFound]]) -> str:
     """How the windows agree."""
     masses = sorted(own.mass_kg for _, _, own in alone)
     return f"by windows of 4 s each alone, ± from motion: {len(masses)} give {masses[0]:.2f} to {masses[-1]:.2f} kg"

@@ -11,19 +11,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from tauext.cli.place_argument import LocalArg, PlaceArg
 from tauext.cli.source_options import SOURCES, SourceOptions, SourceOptionsArg, given
 from tauext.config import require
 from tauext.errors import AwayError, ConfigError
-from tauext.files.places import Place
 from tauext.sources.open import open_source
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from tauext._core import Bundle
     from tauext.cli.json_lines import Output
     from tauext.monitor.flight_files import FlightSettings
     from tauext.monitor.loop import Loop, LoopSettings
+    from tauext.monitor.mcap_sink import McapSink
+    from tauext.monitor.record_sink import FlightSink, RecordCount, RecordSink
+    from tauext.monitor.source import Source
 
 STDIN = Path("-")
 MOST_CORES = 1024
@@ -34,38 +36,38 @@ MOST_CORES = 1024
 class Extras:
     """Files, folders and settings of everything that runs beside the loop."""
 
-    reactions: Place | None
-    profiles: Place | None
+    reactions: Path | None
+    profiles: Path | None
     flights: FlightSettings | None
     record: Path | None
     segment_s: float
     control: Path | None
-    phases: Place | None = None
+    phases: Path | None = None
     mcap: Path | None = None
 
 
 def monitor(
-    bundle: Annotated[PlaceArg | None, tyro.conf.Positional] = None,
+    bundle: Annotated[Path | None, tyro.conf.Positional] = None,
     source: Annotated[str | None, tyro.conf.arg(help=f"source of the samples: {SOURCES}.")] = None,
     options: SourceOptionsArg = SourceOptions(),  # noqa: B008
-    reactions: PlaceArg | None = None,
-    profiles: PlaceArg | None = None,
-    phases: PlaceArg | None = None,
+    reactions: Path | None = None,
+    profiles: Path | None = None,
+    phases: Path | None = None,
     control: Path | None = None,
     own_rate: bool = False,
     missing_after_ms: float | None = None,
     acknowledge_after_s: float | None = None,
     duration_s: float | None = None,
-    flights: LocalArg | None = None,
+    flights: Path | None = None,
     before_s: float = 5.0,
     after_s: float = 1.0,
     contacts: bool = False,
-    record: LocalArg | None = None,
+    record: Path | None = None,
     segment_s: float = 25.0,
     core: int | None = None,
     priority: int | None = None,
     wrench: str | None = None,
-    mcap: LocalArg | None = None,
+    mcap: Path | None = None,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
     status_hz: float = 0.0,
 ) -> None:
@@ -119,7 +121,7 @@ def monitor(
 
     missing_s = None if missing_after_ms is None else missing_after_ms * 1e-3
     settings = LoopSettings(own_rate, missing_s, acknowledge_after_s, duration_s, core, priority, wrench)
-    kept = None if flights is None else FlightSettings(flights, before_s, after_s, contacts, flights)
+    kept = None if flights is None else FlightSettings(flights, before_s, after_s, contacts)
     extras = Extras(reactions, profiles, kept, record, segment_s, control, phases, mcap)
     output = open_output(as_json, status_hz, flights, acknowledge_after_s is not None)
     watch(bundle, source, given(options), settings, extras, output)
@@ -132,7 +134,7 @@ def require_positive(**values: float | None) -> None:
 
 
 def watch(
-    path: Place, text: str, options: dict[str, Any], settings: LoopSettings, extras: Extras, output: Output
+    path: Path, text: str, options: dict[str, Any], settings: LoopSettings, extras: Extras, output: Output
 ) -> None:
     """Connect everything, run the loop, print the summary.
 
@@ -149,8 +151,6 @@ def watch(
     from tauext.monitor.profiles import load_profiles
     from tauext.monitor.reaction_file import load_reactions
     from tauext.monitor.reactions import start_reactions
-    from tauext.monitor.record_sink import FlightSink, RecordSink
-    from tauext.monitor.source import settings_of
 
     bundle = load_bundle(path)
     joints = tuple(link.joint_name for link in bundle.links)
@@ -158,28 +158,17 @@ def watch(
     phases, unmonitored = phases_of(extras.phases, bundle)
     profiles = None if extras.profiles is None else load_profiles(extras.profiles, joints)
     rules = [] if extras.reactions is None else load_reactions(extras.reactions, joints)
-    flights = None
-    if (kept := extras.flights) is not None:
-        flights = FlightSink(kept.folder, bundle, kept.recorder(bundle), source.name)
-    record = None
-    if extras.record is not None:
-        record = RecordSink(extras.record, settings_of(bundle), source.name, extras.segment_s, lambda: bundle.name)
-    mcap = None
-    if extras.mcap is not None:
-        from tauext.monitor.mcap_sink import McapSink
-
-        mcap = McapSink(extras.mcap, bundle, source.name, settings.wrench)
+    flights, record, mcap = written(extras, bundle, source.name, settings.wrench)
     sinks = [*publishers, *(sink for sink in (flights, record, mcap) if sink is not None)]
     reactions = start_reactions(rules, source, publishers)
-    recorder = flights.recorder if flights else None
     with ExitStack() as stack:
         stack.callback(reactions.end)
+        recorder = flights.recorder if flights else None
         loop = Loop(bundle, source, sinks, reactions, profiles, recorder, settings, phases=phases)
         stack.enter_context(output)
         aside = stack.enter_context(Aside(lambda: loop.stop("an output that cannot be written")))
         remedy = how_to_hold_the_rate(settings.core, settings.priority)
-        shown = OutputSink(output, aside, loop, reactions, flights, remedy)
-        loop.sinks.append(shown)
+        loop.sinks.append(shown := OutputSink(output, aside, loop, reactions, flights, remedy))
         for sink in (record, mcap):
             if sink is not None:
                 sink.note = shown.note
@@ -194,27 +183,54 @@ def watch(
         shown.print_news()
         if mcap is not None:
             shown.note(f"{mcap.path}: {mcap.samples:,} samples")
-        if recorder is not None:
-            shown.flights.missed = recorder.missed
-        shown.flights.repeated = flights.repeated if flights else 0
+        if flights is not None:
+            shown.flights.missed, shown.flights.repeated = flights.recorder.missed, flights.repeated
         outcome = Outcome(shown.tally, loop.tick, loop.missing, source.counts, shown.flights)
         outcome.monitored = loop.monitored
         outcome.reactions = {thread.reaction.name: thread.count for thread in reactions.threads}
         outcome.recorded = record.count if record else None
         aside.do(partial(output.finish, outcome))
+    expect_samples(source, loop, ran_s)
+    expect_nothing_lost(outcome.recorded, mcap)
+    shown.flights.expect_all_written()
+
+
+def written(
+    extras: Extras, bundle: Bundle, source: str, wrench: str | None
+) -> tuple[FlightSink | None, RecordSink | None, McapSink | None]:
+    """Sinks that write flights, recordings and a file for viewers, as far as they are asked for."""
+    from tauext.monitor.record_sink import FlightSink, RecordSink
+    from tauext.monitor.source import settings_of
+
+    flights = record = mcap = None
+    if (kept := extras.flights) is not None:
+        flights = FlightSink(kept.folder, bundle, kept.recorder(bundle), source)
+    if extras.record is not None:
+        record = RecordSink(extras.record, settings_of(bundle), source, extras.segment_s, lambda: bundle.name)
+    if extras.mcap is not None:
+        from tauext.monitor.mcap_sink import McapSink
+
+        mcap = McapSink(extras.mcap, bundle, source, wrench)
+    return flights, record, mcap
+
+
+def expect_samples(source: Source, loop: Loop, ran_s: float) -> None:
+    """Raise AwayError where the source gave none."""
     if not loop.samples and not loop.stopped:
         refused = source.counts.refused
         came = f"none of {refused} samples could be used" if refused else "no sample came"
         raise AwayError(
             f"{source.name}: {came} in {ran_s:.1f} s; check that the robot sends, and the options of --source"
         )
-    recorded = outcome.recorded
+
+
+def expect_nothing_lost(recorded: RecordCount | None, mcap: McapSink | None) -> None:
+    """Raise ConfigError where samples were not written."""
     if recorded is not None and recorded.lost:
         of = recorded.lost + recorded.samples
         raise ConfigError(f"{recorded.lost} of {of} samples of the recording are lost: {recorded.error}")
     if mcap is not None and mcap.error:
         raise ConfigError(f"{mcap.lost} of {mcap.lost + mcap.samples} samples of the MCAP file are lost: {mcap.error}")
-    shown.flights.expect_all_written()
 
 
 @contextmanager

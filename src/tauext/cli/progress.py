@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Self
@@ -84,12 +84,3 @@ class PrintContext:
     def __exit__(self, *error: object) -> None:
         if self._live is not None:
             self._live.stop()
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """A line a row; the first column is aligned on its left, all others on their right."""
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return [
-        "  ".join([row[0].ljust(widths[0]), *(one.rjust(w) for one, w in zip(row[1:], widths[1:], strict=True))])
-        for row in rows
-    ]

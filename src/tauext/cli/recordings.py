@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from tauext import plugins
-from tauext.cli.place_argument import JsonArg, MeshesArg, PlaceArg, print_replaced
-from tauext.cli.progress import Terminal, aligned
+from tauext.cli.arguments import JsonArg, MeshesArg, print_replaced
+from tauext.cli.progress import Terminal
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_folder
-from tauext.files.copies import local_folder, local_robot, staged
-from tauext.files.places import is_stored
 from tauext.files.preflight import expect_folder, expect_new_file
+from tauext.progress import aligned
 
 if TYPE_CHECKING:
     from tauext.data.dataset import Dataset
@@ -25,11 +24,11 @@ if TYPE_CHECKING:
 
 
 def import_data(
-    source: tuple[PlaceArg, ...] = (),
-    arm: PlaceArg | None = None,
-    out: PlaceArg | None = None,
+    source: tuple[Path, ...] = (),
+    arm: Path | None = None,
+    out: Path | None = None,
     new: Path | None = None,
-    robot: PlaceArg | None = None,
+    robot: Path | None = None,
     meshes: MeshesArg = (),
     format: Literal["tauext", "lerobot"] = "tauext",
 ) -> None:
@@ -57,7 +56,7 @@ def import_data(
     if new is not None:
         if arm is not None or out is not None or meshes:
             raise ConfigError("--new writes a description and imports nothing: omit --arm, --out and --meshes")
-        write_template(new, tuple(map(local_folder, source)), local_robot(robot) if robot is not None else None)
+        write_template(new, source, robot)
         return
     if robot is not None:
         raise ConfigError("--robot goes with --new; an import takes the robot file that arm.toml names (model)")
@@ -68,12 +67,9 @@ def import_data(
     from tauext.data.importing import import_dataset
     from tauext.robot.mesh_files import mesh_folders
 
-    if is_stored(out) and any(out.iterdir()):
-        raise ConfigError(f"{out}: is not empty; choose another folder or remove it")
-    with staged(out, fresh=True) as folder:
-        import_dataset([local_folder(one) for one in source], arm, folder, format, print, mesh_folders(meshes))
-        if format == "tauext":
-            print_joints_and_findings(folder)
+    import_dataset(source, arm, out, format, print, mesh_folders(meshes))
+    if format == "tauext":
+        print_joints_and_findings(out)
     print(out)
 
 
@@ -158,7 +154,7 @@ def print_findings(dataset: Dataset, training: Sequence[Recording]) -> None:
     case = PAPER_CASES[chosen_case(None, robot)[0]]
     given = Given(robot, case, training, dataset.recordings("validation"))
     results = check_results(dataset, given, TrainConfig(), terminal)
-    findings = [finding for result in results.values() for finding in result.findings]
+    findings = [finding for result in results.values() for finding in result]
     for entry in entries(finding for finding in findings if finding.severity == "warning"):
         terminal.say(f"warning: {sentence(entry)}")
     faults = [finding for finding in findings if finding.severity == "fault"]
@@ -175,9 +171,9 @@ def print_findings(dataset: Dataset, training: Sequence[Recording]) -> None:
 
 
 def check(
-    data: tuple[PlaceArg, ...],
-    robot: PlaceArg | None = None,
-    out: PlaceArg | None = None,
+    data: tuple[Path, ...],
+    robot: Path | None = None,
+    out: Path | None = None,
     gravity: tuple[float, float, float] | None = None,
     as_json: JsonArg = False,
 ) -> int:

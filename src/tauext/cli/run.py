@@ -11,11 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from tauext.cli.place_argument import BundleArg, LocalArg, PlaceArg, RecordingsArg
+from tauext.cli.arguments import BundleArg, RecordingsArg
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
-from tauext.files.copies import added
-from tauext.files.places import Place
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -53,15 +51,15 @@ def run(
     speed: float | None = None,
     own_rate: bool = False,
     acknowledge_after_s: float | None = None,
-    flights: PlaceArg | None = None,
+    flights: Path | None = None,
     before_s: float = 5.0,
     after_s: float = 1.0,
     contacts: bool = False,
     load: str | None = None,
-    loads: PlaceArg | None = None,
-    phases: PlaceArg | None = None,
+    loads: Path | None = None,
+    phases: Path | None = None,
     wrench: str | None = None,
-    mcap: LocalArg | None = None,
+    mcap: Path | None = None,
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
     status_hz: float = 0.0,
 ) -> None:
@@ -111,23 +109,20 @@ def run(
         from tauext.monitor.mcap_log import expect_log
 
         expect_log(mcap)
-    with nullcontext(None) if flights is None else added(flights) as folder:
-        kept = None
-        if folder is not None and flights is not None:
-            kept = FlightSettings(folder, before_s, after_s, contacts, flights)
-        carried = timed_loads(loaded, load, loads)
-        expected, unmonitored = phases_of(phases, loaded)
-        settings = RunSettings(1.0 if real_time else speed, own_rate, after, kept, carried, wrench, expected, mcap)
-        PlaceFinder(loaded, wrench)  # refuses an unknown frame before anything is replayed
-        if kept is not None:
-            kept.recorder(loaded)
-        with open_output(as_json, status_hz, flights, after is not None) as output:
-            for words in unmonitored:
-                print(f"tauext: {words}", file=sys.stderr)
-            replay_all(loaded, recordings, settings, output)
+    kept = None if flights is None else FlightSettings(flights, before_s, after_s, contacts)
+    carried = timed_loads(loaded, load, loads)
+    expected, unmonitored = phases_of(phases, loaded)
+    settings = RunSettings(1.0 if real_time else speed, own_rate, after, kept, carried, wrench, expected, mcap)
+    PlaceFinder(loaded, wrench)  # refuses an unknown frame before anything is replayed
+    if kept is not None:
+        kept.recorder(loaded)
+    with open_output(as_json, status_hz, flights, after is not None) as output:
+        for words in unmonitored:
+            print(f"tauext: {words}", file=sys.stderr)
+        replay_all(loaded, recordings, settings, output)
 
 
-def timed_loads(bundle: Bundle, load: str | None, loads: Place | None) -> tuple[TimedLoad, ...]:
+def timed_loads(bundle: Bundle, load: str | None, loads: Path | None) -> tuple[TimedLoad, ...]:
     """Loads of the arm, with the times from which on it carries them.
 
     Raises:
@@ -144,7 +139,7 @@ def timed_loads(bundle: Bundle, load: str | None, loads: Place | None) -> tuple[
     return tuple(listed)
 
 
-def open_output(as_json: bool, status_hz: float, flights: Place | Path | None, acknowledges: bool) -> Output:
+def open_output(as_json: bool, status_hz: float, flights: Path | None, acknowledges: bool) -> Output:
     """JSON lines if as_json, a live view on a terminal, else lines of text."""
     if as_json:
         from tauext.cli.json_lines import JsonLines
@@ -159,7 +154,7 @@ def open_output(as_json: bool, status_hz: float, flights: Place | Path | None, a
     return TextLines(flights, acknowledges)
 
 
-def fitting_bundle(path: Place, recordings: tuple[Place, ...]) -> Bundle:
+def fitting_bundle(path: Path, recordings: tuple[Path, ...]) -> Bundle:
     """Load the bundle, and check by the head of every recording that it fits.
 
     Raises:
@@ -178,7 +173,7 @@ def fitting_bundle(path: Place, recordings: tuple[Place, ...]) -> Bundle:
     return bundle
 
 
-def replay_all(bundle: Bundle, recordings: tuple[Place, ...], settings: RunSettings, output: Output) -> None:
+def replay_all(bundle: Bundle, recordings: tuple[Path, ...], settings: RunSettings, output: Output) -> None:
     """One recording after the other; after an interruption or a damaged one, still the summary of what was done.
 
     Raises:
@@ -239,8 +234,6 @@ def replay_one(
     def print_flights() -> None:
         for news in writer.news() if writer is not None else ():
             flights.add(news)
-            if kept is not None and news.path is not None:  # not where it waits to be sent
-                news = replace(news, path=kept.given / news.path.name)
             output.flight(news)
 
     pace, places = Pace(settings.speed), PlaceFinder(bundle, settings.wrench)

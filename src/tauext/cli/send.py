@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from tauext.cli.monitor import require_positive
-from tauext.cli.place_argument import LocalArg
 from tauext.errors import ConfigError
 
 
 def send(
-    to: Annotated[LocalArg, tyro.conf.Positional, tyro.conf.arg(metavar="SOCKET|FOLDER")],
+    to: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SOCKET|FOLDER")],
     line: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LINE ...")],
     timeout_s: float = 10.0,
 ) -> None:

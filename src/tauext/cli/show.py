@@ -1,29 +1,28 @@
-"""`tauext show`: what is in a bundle, a recording or a fleet prior."""
+"""`tauext show`: what is in a bundle or a recording; packages show files and folders of theirs."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import tyro
 
 from tauext import plugins
 from tauext.bundle.history_file import BUNDLES
+from tauext.cli.arguments import JsonArg
 from tauext.cli.commands import folders_like, loaded
-from tauext.cli.place_argument import JsonArg, PlaceArg
 from tauext.errors import BundleError, ConfigError
 from tauext.files.kind import LOGS, import_first
-from tauext.files.places import Place
 
 if TYPE_CHECKING:
     from tauext._core import Bundle, LoadSettings, ObserverSettings
-    from tauext.fit.fleet_prior import FleetDays, FleetErrors, FleetPrior
 
 Content = dict[str, Any]
 """Values by identifiers that end in their units, for --json. Text shows the identifiers with blanks, and adds words."""
-SHOWN = "a bundle (*.tauext), a recording (*.parquet), a fleet prior (*.prior.json) or a folder of `tauext commission`"
+SHOWN = "a bundle (*.tauext), a recording (*.parquet), a prior (*.prior.json) or a folder of `tauext commission`"
 UNITS = {
     "_nm": "Nm",
     "_per_s": "1/s",
@@ -48,19 +47,18 @@ IN_WORDS = ("provenance", "situations", "table")
 
 
 def show(
-    file: tyro.conf.Positional[PlaceArg],
+    file: tyro.conf.Positional[Path],
     as_json: JsonArg = False,
     force: bool = False,
-    data: tuple[PlaceArg, ...] = (),
+    data: tuple[Path, ...] = (),
     frame: tuple[str, ...] = (),
-    picture: PlaceArg | None = None,
+    picture: Path | None = None,
 ) -> None:
-    """Print what is in a bundle (*.tauext), a recording (*.parquet), a fleet prior (*.prior.json) or a folder of
-    `tauext commission`.
+    """Print what is in a bundle (*.tauext), a recording (*.parquet), a prior of arms of one type (*.prior.json) or a
+    folder of `tauext commission`.
 
     Args:
-        file: bundle (*.tauext), recording (*.parquet), fleet prior (*.prior.json) or folder of `tauext commission` to
-            show.
+        file: bundle (*.tauext), recording (*.parquet), prior (*.prior.json) or folder of `tauext commission` to show.
         as_json: print what is found as JSON for scripts.
         force: print what force at each link's end goes over a bundle's limits, in newtons.
         data: recordings (*.parquet) whose poses and limits --force takes; none: poses that the bundle keeps.
@@ -93,7 +91,7 @@ def show(
         content = describe_recording(file)
         text = lines(content)
     elif file.name.endswith(".prior.json"):
-        content = describe_fleet_prior(file)
+        content = plugins.part("prior-content")(file)
         text = [*content["table"], *lines(content)]
     else:
         remedy = f"; {import_first(file)}" if file.suffix in LOGS else ""
@@ -140,10 +138,10 @@ def aligned(words: Mapping[str, str]) -> list[str]:
 # --- A bundle.
 
 
-def describe_bundle(file: Place) -> Content:
+def describe_bundle(file: Path) -> Content:
     """Content of a bundle; loading it also replays its reference."""
     from tauext.bundle.bundle_file import load_bundle
-    from tauext.bundle.units import left_out, not_monitored, own_shares, situations
+    from tauext.bundle.units import left_out, own_shares, situations
 
     bundle = load_bundle(file)
     names = [link.joint_name for link in bundle.links]
@@ -167,20 +165,7 @@ def describe_bundle(file: Place) -> Content:
         "sample_rate_hz": 1 / period_s,
         "network": None,
         "prior": None,
-        "limits_hold": "in usual motion; they follow the motion" if bundle.error_scale.follows else "always",
-        "limits_sliding_nm": of_joints(map(finite, bundle.sliding_limit_nm)),
-        "limits_near_stiction_nm": of_joints(map(finite, bundle.near_stiction_limit_nm)),
-        "contact_limits_sliding_nm": of_joints(map(finite, bundle.contact_sliding_limit_nm)),
-        "contact_limits_near_stiction_nm": of_joints(map(finite, bundle.contact_near_stiction_limit_nm)),
-        "not_monitored": not_monitored(bundle),
-        "near_stiction_below_rad_s": bundle.near_stiction_rad_s,
-        "collision_hold_s": bundle.hold_s,
-        "contact_hold_s": bundle.contact_hold_s,
-        "contact_release_s": bundle.contact_release_s,
-        "after_contact_factor": bundle.after_contact_factor,
-        "largest_torque_in_training_nm": of_joints(bundle.largest_torque_nm),
-        "drive_torque_limits_nm": of_joints(map(finite, bundle.torque_limit_nm)),
-        "a_fault_beyond": of_joints(beyond(bundle, joint) for joint in range(len(names))),
+        **describe_limits(bundle, names),
         "load": describe_load(bundle.load_settings),
         "shapes_of_links": describe_shapes(bundle, names),
         "reference": "replayed, equal",
@@ -207,6 +192,31 @@ def describe_bundle(file: Place) -> Content:
     if found := situations(bundle):
         content["situations"] = found
     return content
+
+
+def describe_limits(bundle: Bundle, names: list[str]) -> Content:
+    """Limits of the estimates, and ranges of the signals."""
+    from tauext.bundle.units import not_monitored
+
+    def of_joints(values: Any) -> Content:
+        return dict(zip(names, values, strict=True))
+
+    return {
+        "limits_hold": "in usual motion; they follow the motion" if bundle.error_scale.follows else "always",
+        "limits_sliding_nm": of_joints(map(finite, bundle.sliding_limit_nm)),
+        "limits_near_stiction_nm": of_joints(map(finite, bundle.near_stiction_limit_nm)),
+        "contact_limits_sliding_nm": of_joints(map(finite, bundle.contact_sliding_limit_nm)),
+        "contact_limits_near_stiction_nm": of_joints(map(finite, bundle.contact_near_stiction_limit_nm)),
+        "not_monitored": not_monitored(bundle),
+        "near_stiction_below_rad_s": bundle.near_stiction_rad_s,
+        "collision_hold_s": bundle.hold_s,
+        "contact_hold_s": bundle.contact_hold_s,
+        "contact_release_s": bundle.contact_release_s,
+        "after_contact_factor": bundle.after_contact_factor,
+        "largest_torque_in_training_nm": of_joints(bundle.largest_torque_nm),
+        "drive_torque_limits_nm": of_joints(map(finite, bundle.torque_limit_nm)),
+        "a_fault_beyond": of_joints(beyond(bundle, joint) for joint in range(len(names))),
+    }
 
 
 def in_order(facts: Any, names: list[str]) -> Any:
@@ -418,7 +428,7 @@ def prior_words(fitted: Content, units: Mapping[str, str]) -> dict[str, str]:
 # --- A recording.
 
 
-def describe_recording(file: Place) -> Content:
+def describe_recording(file: Path) -> Content:
     """Content of a recording."""
     from tauext.data.recording import FLAGS, OPTIONAL_SIGNALS
     from tauext.data.recording_file import load_recording
@@ -444,86 +454,3 @@ def describe_recording(file: Place) -> Content:
         f"largest_tau_{torque_unit([recording]).lower()}": largest(recording.tau),
         "source": recording.source,
     }
-
-
-# --- A fleet prior: its arms in a table, and what the next arm begins with.
-
-
-def describe_fleet_prior(file: Place) -> Content:
-    """Content of a fleet prior's file; `table` is what `tauext fleet prior` prints at its end.
-
-    Raises:
-        ConfigError: the file is no fleet prior, or damaged.
-    """
-    from tauext.fit.fleet_prior import load_fleet_prior
-
-    prior = load_fleet_prior(file)
-    try:
-        return described(file, prior)
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError, ZeroDivisionError) as error:
-        why = " ".join(f"{type(error).__name__}: {error}".split())
-        raise ConfigError(f"{file}: its data of the arms is damaged ({why}); `tauext fleet prior` makes one") from error
-
-
-def described(file: Place, prior: FleetPrior) -> Content:
-    """Content of a prior that was read; KeyError, TypeError or ValueError where data are missing."""
-    from tauext.fit.fleet_prior import ODD, table
-
-    facts, kind, names = prior.facts, prior.type, list(prior.type.joints)
-    odd = {one["name"]: [name for name, share in one["trust"].items() if share < ODD] for one in facts["arms"]}
-    return {
-        "fleet_prior": file.name,
-        "table": table(dict(facts)).splitlines(),
-        "arms": len(facts["arms"]),
-        "minutes": round(sum(float(one["minutes"]) for one in facts["arms"]), 3),
-        "not_like_the_others": {name: parts for name, parts in odd.items() if parts},
-        "left_out": dict(facts["left_out"]),
-        "joints": names,
-        "model_case": kind.case,
-        "sample_rate_hz": kind.rate_hz,
-        "torque_is": kind.torque_timing,
-        "takes_tau_in": dict(zip(names, (unit.replace("newton_metre", "N m") for unit in kind.units), strict=True)),
-        "gain_per_s": prior.gain_per_s,
-        "presliding_widths_rad": list(prior.widths_rad),
-        "terms": {joint: dict(term_counts(group)) for joint, group in zip(names, prior.own, strict=True)},
-        "usual_error_nm": dict(zip(names, prior.weights.error_nm.tolist(), strict=True)),
-        "errors_last_s": dict(zip(names, prior.weights.memory_s.tolist(), strict=True)),
-        "weight_of_a_row": prior.weights.trust,
-        "error_after_a_minute_by_that_with_all": dict(facts["after_a_minute"]),
-        **describe_errors(prior.errors, names),
-        **describe_days(prior.days, names),
-        "made_by": {key: facts.get(key) for key in ("command", "version", "seed", "machine")},
-        "made_from": {name: str(data) for name, data in facts["settings"]["data"].items()},
-        "sha256": prior.sha256,
-    }
-
-
-def term_counts(group: Any) -> Iterator[tuple[str, int]]:
-    """How many of a joint's terms are of each kind."""
-    kinds = [term.kind.name for term in group]
-    return ((kind, kinds.count(kind)) for kind in dict.fromkeys(kinds))
-
-
-def describe_errors(errors: FleetErrors | None, joints: list[str]) -> Content:
-    """Basis of the next arm's limits: errors of the fleet's arms, or its own minute alone."""
-    if errors is None:
-        return {"limits_of_the_next_arm": "follow from its own minute: no three arms showed more than a minute"}
-    return {
-        "limits_of_the_next_arm": (
-            f"rest on the errors in {errors.hours:.3g} h of {errors.arms} arms, each taken for a new one with "
-            f"{errors.minutes:g} min of its own"
-        ),
-        "limits_sliding_nm": dict(zip(joints, errors.sliding_limit_nm.tolist(), strict=True)),
-        "limits_near_stiction_nm": dict(zip(joints, errors.near_stiction_limit_nm.tolist(), strict=True)),
-        "factor_for_different_arms": errors.facts["arms_factor"],
-        "collision_hold_s": errors.hold_s,
-        "limits_promise": errors.facts["sentence"],
-    }
-
-
-def describe_days(days: FleetDays | None, joints: list[str]) -> Content:
-    """How much the friction of one arm differs between recordings, which `refit --like` goes by."""
-    if days is None:
-        return {"friction_change_share": None}
-    shares = {joint: math.sqrt(days.covariance[j, j]) for j, joint in enumerate(joints)}
-    return {"friction_change_share": shares, "friction_change_from": {"recordings": days.recordings, "arms": days.arms}}

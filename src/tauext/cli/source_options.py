@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import fields, make_dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
-from tauext.cli.place_argument import LocalArg, PlaceArg
-from tauext.files.places import Place
 from tauext.sources.open import kinds, options_of
-
-READERS = {Place: PlaceArg, Path: LocalArg, Place | None: PlaceArg | None, Path | None: LocalArg | None}
-"""Types that the command line reads in its own way."""
 
 KINDS = kinds()
 OPTIONS = options_of(KINDS)
@@ -21,10 +15,7 @@ SOURCES = ", ".join(kind.typed(name) for name, kind in KINDS.items())
 """Every source that is installed, as it is typed."""
 SourceOptions: Any = make_dataclass(
     "SourceOptions",
-    [
-        (one.name, Annotated[READERS.get(one.type, one.type), tyro.conf.arg(help=one.help)], one.default)
-        for one in OPTIONS.values()
-    ],
+    [(one.name, Annotated[one.type, tyro.conf.arg(help=one.help)], one.default) for one in OPTIONS.values()],
     frozen=True,
 )
 """Options of all installed kinds, one field each."""

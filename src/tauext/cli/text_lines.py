@@ -13,7 +13,6 @@ from tauext.bundle.estimates import COLLISION, HEALTHS
 from tauext.bundle.units import not_monitored, short
 from tauext.cli.progress import PrintContext
 from tauext.data.recording import Recording
-from tauext.files.places import Place
 from tauext.monitor.changes import (
     AlarmChange,
     HealthChange,
@@ -58,7 +57,7 @@ class Outcome:
 class TextLines(PrintContext):
     """A line an event and a summary."""
 
-    def __init__(self, flights: Place | Path | None = None, acknowledges: bool = False):
+    def __init__(self, flights: Path | None = None, acknowledges: bool = False):
         """
         Args:
             flights: folder of flights, as the user gave it.
@@ -226,7 +225,7 @@ class TextLines(PrintContext):
             self._latched_s = None
 
 
-def summary_lines(tally: Tally, flights: FlightCount, folder: Place | Path | None, timing: str = "") -> list[str]:
+def summary_lines(tally: Tally, flights: FlightCount, folder: Path | None, timing: str = "") -> list[str]:
     """The summary of one recording or of all. timing: printed with the samples instead of the core's time for each."""
     summary = tally.summary()
     if not tally.samples:

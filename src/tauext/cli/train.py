@@ -6,16 +6,17 @@ import math
 import sys
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict, get_type_hints
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 import tyro
 
-from tauext.cli.place_argument import AcceptArg, BundleArg, JsonArg, MeshesArg, PlaceArg, expect_another, print_replaced
+from tauext import plugins
+from tauext.cli.arguments import AcceptArg, BundleArg, JsonArg, MeshesArg, expect_another, print_replaced
 from tauext.cli.progress import Terminal
 from tauext.config import AlarmConfig, CaseName, TrainConfig, require, require_threads
 from tauext.errors import ConfigError
-from tauext.files.places import Place
-from tauext.files.toml_file import field_help, read_toml, values_of
+from tauext.files.toml_file import field_help, hints_of, read_toml, values_of
 
 # --- Settings: those of a file, and the few that are options of the command line, too.
 
@@ -31,7 +32,7 @@ ALARM = ("false_alarms", "in_hours")
 
 def options(kind: type, names: tuple[str, ...]) -> dict[str, Any]:
     """Types of these fields for the parser, with their help and defaults; an option that is not given has no value."""
-    hints, words, defaults = get_type_hints(kind), field_help(kind), kind()
+    hints, words, defaults = hints_of(kind), field_help(kind), kind()
     found = {}
     for name in names:
         hint, default = hints[name], getattr(defaults, name)
@@ -51,7 +52,7 @@ else:
     TrainOptions = TypedDict("TrainOptions", options(TrainConfig, COMMON) | options(AlarmConfig, ALARM), total=False)
 
 
-def train_settings(file: Place | None, given: Mapping[str, Any]) -> TrainConfig:
+def train_settings(file: Path | None, given: Mapping[str, Any]) -> TrainConfig:
     """Settings of the file, under those that are given.
 
     Raises:
@@ -66,7 +67,7 @@ def train_settings(file: Place | None, given: Mapping[str, Any]) -> TrainConfig:
         raise (error if file is None or wrong in given else ConfigError(f"{file}: {error}")) from None
 
 
-def alarm_settings(file: Place | None, given: Mapping[str, Any]) -> AlarmConfig:
+def alarm_settings(file: Path | None, given: Mapping[str, Any]) -> AlarmConfig:
     """Settings of the table [alarm] alone, under those that are given."""
     return promise({} if file is None else values_of(TrainConfig, read_toml(file), f"{file}"), given)
 
@@ -80,14 +81,14 @@ def promise(values: Mapping[str, Any], given: Mapping[str, Any]) -> AlarmConfig:
 
 
 def train(
-    data: PlaceArg,
-    out: PlaceArg,
-    config: PlaceArg | None = None,
+    data: Path,
+    out: Path,
+    config: Path | None = None,
     case: CaseName | None = None,
-    robot: PlaceArg | None = None,
+    robot: Path | None = None,
     meshes: MeshesArg = (),
-    like: PlaceArg | None = None,
-    network: PlaceArg | None = None,
+    like: Path | None = None,
+    network: Path | None = None,
     accept: AcceptArg = (),
     options: Annotated[TrainOptions, tyro.conf.arg(name="")] = {},  # noqa: B006
 ) -> None:
@@ -108,22 +109,24 @@ def train(
             mass+com), or no model (none). Default: exact, or none where the dataset was imported without a model.
         robot: URDF or MJCF of the arm; default: the dataset's own.
         meshes: folders of the meshes that the URDF names, as in `tauext import`, for shapes that the dataset lacks.
-        like: NAME.prior.json of a fleet of arms of this type (`tauext fleet prior`); one minute of this arm's motion
-            is then enough. None: no fleet prior.
+        like: NAME.prior.json with what arms of this type have in common; one minute of this arm's motion is then
+            enough. None: this arm's motion alone.
         network: FILE.npz with the weights of a network that was trained in PyTorch (recipe paper); nothing is trained.
             None: the recipe trains its own.
         accept: codes of faults to accept, at all joints or at one; they are stored in the bundle.
         options: settings that are often changed.
     """
     from tauext.data.dataset import load_dataset
-    from tauext.fit.fleet_prior import load_fleet_prior
     from tauext.robot.mesh_files import mesh_folders
+    from tauext.train.preparation import NOTHING
     from tauext.train.stage import train_bundle
 
     if out.suffix != ".tauext":
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
     settings = train_settings(config, options)
-    known = None if like is None else load_fleet_prior(like)
+    require(like is None or network is None, "network", network, "left out with --like: a training has one start")
+    starts = {"like": like, "network": network}
+    start = next((plugins.part(name)(file) for name, file in starts.items() if file is not None), NOTHING)
     print_replaced(out)
     train_bundle(
         load_dataset(data),
@@ -133,22 +136,21 @@ def train(
         settings,
         Terminal(),
         accept,
-        like=known,
-        network=network,
+        start=start,
         meshes=mesh_folders(meshes),
     )
     print(out)
 
 
 def calibrate(
-    bundle: PlaceArg,
-    data: PlaceArg,
-    out: PlaceArg,
-    config: PlaceArg | None = None,
+    bundle: Path,
+    data: Path,
+    out: Path,
+    config: Path | None = None,
     options: Annotated[AlarmOptions, tyro.conf.arg(name="")] = {},  # noqa: B006
     threads: int = 0,
     refit_error_scale: bool = False,
-    phases: PlaceArg | None = None,
+    phases: Path | None = None,
     accept: AcceptArg = (),
 ) -> None:
     """Set the limits and hold times of a bundle for another budget of false alarms, or on other recordings.
@@ -201,11 +203,11 @@ def calibrate(
 
 def refit(
     bundle: BundleArg,
-    data: PlaceArg,
-    out: PlaceArg,
+    data: Path,
+    out: Path,
     from_s: Annotated[float, tyro.conf.arg(name="from")] = 0.0,
     to_s: Annotated[float | None, tyro.conf.arg(name="to")] = None,
-    like: PlaceArg | None = None,
+    like: Path | None = None,
     threads: int = 0,
     accept: AcceptArg = (),
     as_json: JsonArg = False,
@@ -223,19 +225,18 @@ def refit(
         out: bundle to write, NAME.tauext; an existing one is replaced, and named on stderr.
         from_s: seconds of each recording at which the motion to be used begins.
         to_s: seconds of each recording at which it ends. None: at its end.
-        like: NAME.prior.json of a fleet of arms of this type (`tauext fleet prior`): a joint that hardly moved follows
-            the others as far as the fleet's joints changed together between recordings.
+        like: NAME.prior.json with what arms of this type have in common: a joint that hardly moved follows the others
+            as far as joints of these arms changed together between recordings.
         threads: threads that estimate; 0: one a core. The result does not depend on it.
         accept: codes of faults to accept, at all joints or at one; they are stored in the bundle.
         as_json: print one JSON object instead of the table.
     """
     from tauext.files.provenance import json_text
-    from tauext.fit.fleet_prior import load_fleet_prior
     from tauext.train.refit import Span, refit_bundle
 
     require_threads(threads)
     expect_another(out, bundle, "start from")
-    known = None if like is None else load_fleet_prior(like)
+    known = None if like is None else plugins.part("like")(like)
     print_replaced(out)
     span = Span(from_s, to_s)
     found = refit_bundle(bundle, data, out, span, threads, Terminal(), accept, known)

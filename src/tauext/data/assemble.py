@@ -379,34 +379,15 @@ def _piece(
     if arm.servo is not None:
         _make_torque(arm, t_ns, rate_hz, signals, facts)
     elif "dq" not in signals:
-        low_pass = arm.signals["dq"].low_pass_hz
-        # Differencing held positions would give 0, then twice the speed; a held one keeps its measurement's speed.
-        signals["dq"] = derived_velocity(t_ns[own], signals["q"][own], low_pass)[np.cumsum(own) - 1]
-        facts["velocity"] = (
-            f"derived from the position, low-pass {low_pass:g} Hz" if low_pass else "derived, no low-pass"
-        )
-    lost = lost_samples(t_ns)
-    counts["gaps: steps of two sample periods or more"] += int((lost > 0).sum())
-    facts["longest_step_s"] = round(float(np.diff(t_ns).max(initial=0)) * 1e-9, 6)
-    facts["lost_share"] = round(float(lost.sum() / (lost.sum() + len(t_ns))), 6)
+        _derive_velocity(arm, t_ns, own, signals, facts)
+    _count_losses(t_ns, counts, facts)
     facts["start_s"] = round((int(t_ns[0]) - start_ns) * 1e-9, 9)
     measured = FROM_AMPERES if arm.signals["tau"].is_current else "N m"
     facts["torque"] = AMPERES if constant_unknown(arm) else measured
-    counts = Counter({text: n for text, n in counts.items() if n})
-    done = [*raw.notes, *(f"{n} {text}" for text, n in counts.items()), *conversions(arm)]
-    if "measured_hz" in facts:
-        done.append(f"{facts['measured_hz']:.4g} samples a second are new measurements, the others repeat them")
-    if facts["lost_share"] >= WORTH_REPORTING:
-        done.append(f"{facts['lost_share']:.1%} of the samples at {_nominal_rate(t_ns):.4g} Hz are missing: gaps")
     if turns.joints:
         facts["unwrapped"] = list(turns.joints)
-        done.append(f"position unwrapped: it jumped by whole turns ({', '.join(turns.joints)})")
-    if "velocity" in facts:
-        done.append(f"velocity {facts['velocity']}")
-    if "made" in facts:
-        done.append(facts["made"])
-    if "merged" in facts:
-        done.append(facts["merged"])
+    counts = Counter({text: n for text, n in counts.items() if n})
+    done = _done(raw, arm, counts, facts, _nominal_rate(t_ns))
     provenance = {"command": "tauext import", "file": raw.path.name, "format": raw.format} | facts
     return Recording(
         name=raw.name,
@@ -420,6 +401,38 @@ def _piece(
         provenance=provenance | {"done": done, "counts": dict(counts)},
         **signals,
     )
+
+
+def _derive_velocity(
+    arm: Arm, t_ns: np.ndarray, own: np.ndarray, signals: dict[str, np.ndarray], facts: dict[str, Any]
+) -> None:
+    """Differencing held positions would give 0, then twice the speed; a held one keeps its measurement's speed."""
+    low_pass = arm.signals["dq"].low_pass_hz
+    signals["dq"] = derived_velocity(t_ns[own], signals["q"][own], low_pass)[np.cumsum(own) - 1]
+    facts["velocity"] = f"derived from the position, low-pass {low_pass:g} Hz" if low_pass else "derived, no low-pass"
+
+
+def _count_losses(t_ns: np.ndarray, counts: Counter[str], facts: dict[str, Any]) -> None:
+    lost = lost_samples(t_ns)
+    counts["gaps: steps of two sample periods or more"] += int((lost > 0).sum())
+    facts["longest_step_s"] = round(float(np.diff(t_ns).max(initial=0)) * 1e-9, 6)
+    facts["lost_share"] = round(float(lost.sum() / (lost.sum() + len(t_ns))), 6)
+
+
+def _done(
+    raw: RawRecording, arm: Arm, counts: Mapping[str, int], facts: dict[str, Any], nominal_hz: float
+) -> list[str]:
+    """What was changed on the way to a recording, a sentence each."""
+    done = [*raw.notes, *(f"{n} {text}" for text, n in counts.items()), *conversions(arm)]
+    if "measured_hz" in facts:
+        done.append(f"{facts['measured_hz']:.4g} samples a second are new measurements, the others repeat them")
+    if facts["lost_share"] >= WORTH_REPORTING:
+        done.append(f"{facts['lost_share']:.1%} of the samples at {nominal_hz:.4g} Hz are missing: gaps")
+    if "unwrapped" in facts:
+        done.append(f"position unwrapped: it jumped by whole turns ({', '.join(facts['unwrapped'])})")
+    if "velocity" in facts:
+        done.append(f"velocity {facts['velocity']}")
+    return done + [facts[key] for key in ("made", "merged") if key in facts]
 
 
 def _make_torque(

@@ -17,9 +17,7 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import ROW_GROUP, describe, load_recording
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_write
-from tauext.files.copies import local_robot
 from tauext.files.kind import why_no_dataset
-from tauext.files.places import Place, place_of
 from tauext.files.plain_file import FORMAT, expect_format, read_json
 
 # --- Split into sets of whole recordings, so that no window is in two sets.
@@ -108,21 +106,21 @@ def split_recordings(
     return Split(train=drawn[2], validation=drawn[0], test=drawn[1], collisions=tuple(collisions))
 
 
-def save_split(split: Split, folder: Place | str) -> None:
+def save_split(split: Split, folder: Path | str) -> None:
     """Write `split.json` into a dataset folder, under a temporary name first."""
-    path = place_of(folder) / FILE_NAME
+    path = Path(folder) / FILE_NAME
     with atomic_write(path) as part:
         part.write_text(json.dumps({"format": FORMAT} | asdict(split), indent=1) + "\n")
 
 
-def load_split(folder: Place | str) -> Split:
+def load_split(folder: Path | str) -> Split:
     """Read a dataset folder's `split.json`; every file it lists exists.
 
     Raises:
         ConfigError: no such file, not JSON, another format, a set is missing or unknown, a name occurs twice, or a
             listed file is missing.
     """
-    folder = place_of(folder)
+    folder = Path(folder)
     path = folder / FILE_NAME
     content = read_json(path, "there is no such file; a dataset folder holds one beside its recordings")
     expect_format(content, path, "import or simulate the dataset again")
@@ -138,7 +136,7 @@ def load_split(folder: Place | str) -> Split:
         split = Split(**{set_name: tuple(content[set_name]) for set_name in SETS})
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
-    there = {place.name for place in folder.iterdir() if place.is_file()}
+    there = {one.name for one in folder.iterdir() if one.is_file()}
     for set_name in SETS:
         for name in getattr(split, set_name):
             if name not in there:
@@ -150,12 +148,12 @@ def load_split(folder: Place | str) -> Split:
 
 
 HEADS_AT_A_TIME = 8
-"""Number of file headers read in parallel, since stores have a high latency."""
+"""Number of file headers read in parallel."""
 FOR_LIMITS = ("temperature", "contact")
 """Optional signals that limits and the quick checks need."""
 
 
-def stretches(files: Sequence[Place], signals: Collection[str] | None = FOR_LIMITS) -> list[Callable[[], Recording]]:
+def stretches(files: Sequence[Path], signals: Collection[str] | None = FOR_LIMITS) -> list[Callable[[], Recording]]:
     """Loaders of the recordings in these files; one of more than ROW_GROUP samples is split into equal parts.
 
     Each part is a recording NAME-00, NAME-01, ..., as in an import; the chain warms up in each. Memory use does not
@@ -181,7 +179,7 @@ def stretches(files: Sequence[Place], signals: Collection[str] | None = FOR_LIMI
     return loaders
 
 
-def load_stretch(file: Place, signals: Collection[str] | None, first: int, end: int, number: int) -> Recording:
+def load_stretch(file: Path, signals: Collection[str] | None, first: int, end: int, number: int) -> Recording:
     """Load samples first to end (exclusive) as a recording NAME-number; its provenance has the origin."""
     whole = load_recording(file, signals, (first, end))
     start_s = first / whole.rate_hz
@@ -212,7 +210,7 @@ ROBOT_FILES = ("robot.xml", "robot.urdf")
 class Dataset:
     """A folder of recordings and their split into sets."""
 
-    folder: Place
+    folder: Path
     """Folder of the recordings and the robot file."""
     split: Split
     """Names of the recordings' files, by set."""
@@ -227,7 +225,7 @@ class Dataset:
             raise ConfigError(f"{self.folder}: split.json lists no training recording; one is enough")
         return self.recordings("train")
 
-    def files(self, set_name: str) -> list[Place]:
+    def files(self, set_name: str) -> list[Path]:
         """Files of the set's recordings."""
         return [self.folder / name for name in getattr(self.split, set_name)]
 
@@ -239,26 +237,26 @@ class Dataset:
         """Loaders for limits: long recordings in stretches, without signals that limits do not need."""
         return stretches(self.files(set_name))
 
-    def robot_file(self, given: Place | None) -> Path:
-        """Path of the given robot file or the folder's; from a store, of a copy with the files it names."""
+    def robot_file(self, given: Path | None) -> Path:
+        """Path of the given robot file or the folder's."""
         if given is not None:
             if not given.is_file():
                 raise ConfigError(f"{given}: there is no such robot file; give a URDF or MJCF")
-            return local_robot(given)
+            return given
         for name in ROBOT_FILES:
             if (self.folder / name).is_file():
-                return local_robot(self.folder / name)
+                return self.folder / name
         raise ConfigError(f"{self.folder}: it has no {' or '.join(ROBOT_FILES)}; give one with --robot")
 
 
 @checked
-def load_dataset(folder: Place | str) -> Dataset:
+def load_dataset(folder: Path | str) -> Dataset:
     """The dataset in a folder that `tauext simulate` or `tauext import` made; no recording is read yet.
 
     Raises:
         ConfigError: there is no such folder, or its split.json cannot be used.
     """
-    folder = place_of(folder)
+    folder = Path(folder)
     if not (folder / FILE_NAME).is_file() and (reason := why_no_dataset(folder)):
         raise ConfigError(f"{folder}: {reason}")
     return Dataset(folder, load_split(folder))

@@ -12,8 +12,6 @@ from typing import Any, Literal, NamedTuple, get_args
 from tauext.data.recording import TORQUE_TIMINGS, TorqueTiming
 from tauext.data.servo_types import SERVO_TYPES, MotorCalibration, load_lerobot_calibration
 from tauext.errors import ConfigError
-from tauext.files.copies import local_robot
-from tauext.files.places import Place, place_of
 from tauext.files.toml_file import (
     REQUIRED,
     Key,
@@ -349,7 +347,7 @@ class Arm:
     contact: ContactTable = field(default_factory=ContactTable)
     split: SplitTable = SplitTable()
     servo: ServoTable | None = None
-    path: Place = Path("arm.toml")
+    path: Path = Path("arm.toml")
     """File of the description; the robot model's path is relative to it."""
 
     def __post_init__(self) -> None:
@@ -385,10 +383,10 @@ class Arm:
 
     @property
     def model(self) -> Path | None:
-        """The robot file, or its copy on this machine; None: there is no model."""
+        """The robot file; None: there is no model."""
         if not self.robot.model:
             return None
-        return local_robot(place_of(self.robot.model, self.path.parent))
+        return self.path.parent / self.robot.model
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -403,7 +401,7 @@ class Arm:
         Raises:
             ConfigError: no such file, no LeRobot calibration file, or a joint is missing in it.
         """
-        path = place_of(self.robot.calibration, self.path.parent)
+        path = self.path.parent / self.robot.calibration
         listed = load_lerobot_calibration(path)
         for name in self.names:
             if name.removesuffix(".pos") not in listed:
@@ -480,7 +478,7 @@ TABLES = {
 }  # fmt: skip
 
 
-def load_arm(path: Place | str, calibration: Path | None = None) -> Arm:
+def load_arm(path: Path | str, calibration: Path | None = None) -> Arm:
     """Read an arm.toml.
 
     Args:
@@ -490,13 +488,13 @@ def load_arm(path: Place | str, calibration: Path | None = None) -> Arm:
         ConfigError: no such file, not TOML, an unknown key (the nearest known one is named), a value of the wrong type
             or against its rule.
     """
-    path = place_of(path)
+    path = Path(path)
     return _arm(read_toml(path, f"`tauext import --new {path}` writes a template"), path, calibration)
 
 
-def parse_arm(content: str, path: Place | str = "arm.toml") -> Arm:
+def parse_arm(content: str, path: Path | str = "arm.toml") -> Arm:
     """Parse the text of an arm.toml, as load_arm()."""
-    path = place_of(path)
+    path = Path(path)
     return _arm(parse_toml(content, path), path)
 
 
@@ -515,7 +513,7 @@ def open_entries(content: Any, table: str = "", key: str = "") -> list[str]:
     return [f"[{table}] {key} has '{content}'"] if guessed else []
 
 
-def _expect_confirmed(content: dict[str, Any], path: Place) -> None:
+def _expect_confirmed(content: dict[str, Any], path: Path) -> None:
     """Raise ConfigError where a guess of the template is neither confirmed nor replaced."""
     entries = open_entries(content)
     if entries:
@@ -525,7 +523,7 @@ def _expect_confirmed(content: dict[str, Any], path: Place) -> None:
         )
 
 
-def _arm(content: dict[str, Any], path: Place, calibration: Path | None = None) -> Arm:
+def _arm(content: dict[str, Any], path: Path, calibration: Path | None = None) -> Arm:
     _expect_confirmed(content, path)
     top: dict[str, Key] = {name: tables(f"[{name}]", None) for name in ("robot", *TABLES, "signals")}
     given = {name: table for name, table in read_table(path, "", content, top).items() if table is not None}
@@ -550,7 +548,7 @@ def _arm(content: dict[str, Any], path: Place, calibration: Path | None = None) 
     return Arm(**read, path=path)
 
 
-def _table(path: Place, name: str, kind: type, content: Any, joints: int, signal: str = "") -> Any:
+def _table(path: Path, name: str, kind: type, content: Any, joints: int, signal: str = "") -> Any:
     """Read a table into its dataclass; a signal's has the keys and units of that signal."""
     keys = {}
     for one in fields(kind):

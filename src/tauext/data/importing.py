@@ -23,7 +23,6 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import expect_empty, new_folder
-from tauext.files.places import Place
 from tauext.files.plain_file import read_text
 from tauext.files.preflight import expect_folder
 from tauext.files.provenance import provenance, write_json
@@ -361,7 +360,7 @@ Say = Callable[[str], object]
 
 def import_dataset(
     paths: Sequence[Path],
-    arm_file: Place,
+    arm_file: Path,
     out: Path,
     format: str,
     say: Say,

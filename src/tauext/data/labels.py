@@ -7,12 +7,12 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from tauext.config import FreeMotionConfig
 from tauext.files.journal import Contents, is_journal, read
 from tauext.files.journal_lines import LabelAnswer
-from tauext.files.places import Place
 
 if TYPE_CHECKING:
     import numpy as np
@@ -57,7 +57,7 @@ class Label:
         return replace(self, answer=by.answer, by=by.by, wall=by.wall)
 
 
-def read_labels(folder: Place) -> tuple[Label, ...]:
+def read_labels(folder: Path) -> tuple[Label, ...]:
     """The newest label of each id in the journal of a folder."""
     return labels_of(read(folder))
 
@@ -100,12 +100,12 @@ def type_of(name: object) -> type:
     return int if name == "int" else str
 
 
-def has_labels(folder: Place) -> bool:
+def has_labels(folder: Path) -> bool:
     """Whether labels lie beside the folder's recordings."""
     return is_journal(folder)
 
 
-def labels_key(folder: Place) -> str:
+def labels_key(folder: Path) -> str:
     """Digest of the labels that count, for keys of cached results; empty in a folder without labels."""
     labels = read_labels(folder)
     return hashlib.sha256(repr(sorted(labels, key=lambda one: one.id)).encode()).hexdigest() if labels else ""

@@ -8,6 +8,7 @@ import os
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,9 +18,7 @@ from tauext.data.labels import epoch_of, has_labels, overlay, read_labels
 from tauext.data.recording import FLAGS, REQUIRED_SIGNALS, SIGNALS, Recording, check_joints
 from tauext.errors import RecordingError
 from tauext.files.atomic_write import atomic_write
-from tauext.files.copies import reading
 from tauext.files.kind import why_no_recording
-from tauext.files.places import Place, is_stored, place_of
 from tauext.files.plain_file import FORMAT, expect_file, expect_format, json_of
 from tauext.files.preflight import expect_rows_fit
 
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
-def write_parquet(table: pa.Table, path: Place, **encoding: Any) -> None:
+def write_parquet(table: pa.Table, path: Path, **encoding: Any) -> None:
     """Write a table with its metadata.
 
     Args:
@@ -81,7 +80,7 @@ class Description:
 
 
 @checked
-def save_recording(recording: Recording, path: Place | str) -> None:
+def save_recording(recording: Recording, path: Path | str) -> None:
     """Write a recording under a temporary name in the same folder, then rename; its name becomes the stem of `path`.
 
     Equal recordings give equal bytes. Folders are not created.
@@ -89,7 +88,7 @@ def save_recording(recording: Recording, path: Place | str) -> None:
     Raises:
         RecordingError: the name does not end in .parquet, or the file cannot be written.
     """
-    path = place_of(path)
+    path = Path(path)
     if path.suffix != ".parquet":
         raise RecordingError(f"{path}: the name of a recording's file must end in .parquet")
     import pyarrow as pa
@@ -127,7 +126,7 @@ def save_recording(recording: Recording, path: Place | str) -> None:
 
 @checked
 def load_recording(
-    path: Place | str, signals: Collection[str] | None = None, rows: tuple[int, int] | None = None
+    path: Path | str, signals: Collection[str] | None = None, rows: tuple[int, int] | None = None
 ) -> Recording:
     """Read a recording; its name is the stem of `path`. The file is never changed.
 
@@ -140,7 +139,7 @@ def load_recording(
     Raises:
         RecordingError: names the file, its fault and the rule.
     """
-    path = place_of(path)
+    path = Path(path)
     with opened(path) as file:
         head = read_head(path, file)
         check_columns(path, head, file.schema_arrow)
@@ -187,13 +186,13 @@ def read_rows(file: pq.ParquetFile, columns: list[str], rows: tuple[int, int] | 
     return file.read_row_groups(wanted, columns).slice(first - starts[wanted[0]], end - first)
 
 
-def describe(path: Place | str) -> Description:
+def describe(path: Path | str) -> Description:
     """Read joints, signals, rate and number of samples from the metadata alone, in milliseconds for any length.
 
     Raises:
         RecordingError: see load_recording(), except for faults of the samples.
     """
-    path = place_of(path)
+    path = Path(path)
     with opened(path) as file:
         head = read_head(path, file)
         check_columns(path, head, file.schema_arrow)
@@ -202,13 +201,13 @@ def describe(path: Place | str) -> Description:
     return replace(head, signals=(*head.signals, "contact"))
 
 
-def stretch_of(path: Place | str) -> tuple[Description, int, int]:
+def stretch_of(path: Path | str) -> tuple[Description, int, int]:
     """Description, first and last stamp [ns] of a recording, from its footer alone.
 
     Raises:
         RecordingError: see describe(), or the footer has no stamps.
     """
-    path = place_of(path)
+    path = Path(path)
     with opened(path) as file:
         head, groups = read_head(path, file), file.metadata.num_row_groups
         column = file.schema_arrow.get_field_index("t_ns")
@@ -218,7 +217,7 @@ def stretch_of(path: Place | str) -> tuple[Description, int, int]:
         return head, int(ends[0].min), int(ends[-1].max)
 
 
-def fingerprint(path: Place | str) -> str:
+def fingerprint(path: Path | str) -> str:
     """SHA-256 of the footer of a recording's file: metadata, and extremes and sizes of every column.
 
     It distinguishes recordings, in milliseconds for any length; it is not secure against forgery.
@@ -226,7 +225,7 @@ def fingerprint(path: Place | str) -> str:
     Raises:
         RecordingError: the file is missing or no Parquet file.
     """
-    path = place_of(path)
+    path = Path(path)
     with opened(path), path.open("rb") as raw:
         raw.seek(-8, os.SEEK_END)
         length = int.from_bytes(raw.read(4), "little")
@@ -235,25 +234,23 @@ def fingerprint(path: Place | str) -> str:
 
 
 @contextmanager
-def opened(path: Place) -> Iterator[pq.ParquetFile]:
+def opened(path: Path) -> Iterator[pq.ParquetFile]:
     """Open a Parquet file for reading; its errors become RecordingError."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     try:
-        with reading(path) as source:
-            if not is_stored(path):  # a pipe would block
-                if path.is_dir():
-                    raise RecordingError(f"{path}: {why_no_recording(path)}")
-                expect_file(path)
-            try:
-                parquet = pq.ParquetFile(source, page_checksum_verification=True, pre_buffer=is_stored(path))
-            except pa.ArrowException:
-                expect_whole(path)
-                raise
-            with parquet as file:
-                expect_rows(path, file.metadata)
-                yield file
+        if path.is_dir():
+            raise RecordingError(f"{path}: {why_no_recording(path)}")
+        expect_file(path)  # a pipe would block
+        try:
+            parquet = pq.ParquetFile(path, page_checksum_verification=True)
+        except pa.ArrowException:
+            expect_whole(path)
+            raise
+        with parquet as file:
+            expect_rows(path, file.metadata)
+            yield file
     except FileNotFoundError as error:
         raise RecordingError(f"{path}: there is no such recording") from error
     except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
@@ -261,7 +258,7 @@ def opened(path: Place) -> Iterator[pq.ParquetFile]:
         raise RecordingError(f"{path}: cannot be read ({cause}); if it is damaged, copy or record it again") from error
 
 
-def expect_rows(path: Place, footer: pq.FileMetaData) -> None:
+def expect_rows(path: Path, footer: pq.FileMetaData) -> None:
     """Raise RecordingError unless the footer has the same number of rows in each of its places.
 
     A reader allocates for the one, and returns as many as the other.
@@ -274,7 +271,7 @@ def expect_rows(path: Place, footer: pq.FileMetaData) -> None:
         )
 
 
-def expect_whole(path: Place) -> None:
+def expect_whole(path: Path) -> None:
     """Raise RecordingError unless the file begins and ends as a Parquet file."""
     with path.open("rb") as raw:
         begins = raw.read(4) == MAGIC
@@ -289,7 +286,7 @@ def expect_whole(path: Place) -> None:
         raise RecordingError(f"{path}: truncated: the end of a Parquet file is missing; copy or record it again")
 
 
-def read_head(path: Place, file: pq.ParquetFile) -> Description:
+def read_head(path: Path, file: pq.ParquetFile) -> Description:
     """Read the metadata and check each entry."""
     metadata = file.schema_arrow.metadata or {}
     texts = {key: metadata[key.encode()].decode(errors="replace") for key in TEXTS if key.encode() in metadata}
@@ -326,7 +323,7 @@ def read_head(path: Place, file: pq.ParquetFile) -> Description:
     )
 
 
-def check_columns(path: Place, head: Description, schema: pa.Schema) -> None:
+def check_columns(path: Path, head: Description, schema: pa.Schema) -> None:
     """Check that every column occurs once with its type, and that a signal has all joints or none."""
     import pyarrow as pa
 
@@ -350,7 +347,7 @@ def check_columns(path: Place, head: Description, schema: pa.Schema) -> None:
             )
 
 
-def to_numpy(path: Place, columns: pa.Table, name: str) -> np.ndarray:
+def to_numpy(path: Path, columns: pa.Table, name: str) -> np.ndarray:
     """Return one column as an array; a missing entry is an error."""
     column = columns.column(name)
     if column.null_count:
@@ -361,7 +358,7 @@ def to_numpy(path: Place, columns: pa.Table, name: str) -> np.ndarray:
     return values
 
 
-def parse_json(path: Place, key: str, text: str, kind: type) -> Any:
+def parse_json(path: Path, key: str, text: str, kind: type) -> Any:
     """The JSON value under this key of the metadata."""
     try:
         value = json_of(text)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.plain_file import read_json
 from tauext.files.toml_file import number, read_table
 
@@ -149,7 +149,7 @@ class MotorCalibration:
         return self.radians_of_counts(np.trunc(counts) if sent else np.rint(counts))
 
 
-def load_lerobot_calibration(path: Place) -> dict[str, MotorCalibration]:
+def load_lerobot_calibration(path: Path) -> dict[str, MotorCalibration]:
     """Read the motors of a LeRobot calibration file (~/.cache/huggingface/lerobot/calibration), by name.
 
     Raises:
@@ -166,7 +166,7 @@ def load_lerobot_calibration(path: Place) -> dict[str, MotorCalibration]:
     return motors
 
 
-def _motor(path: Place, name: str, table: object) -> MotorCalibration:
+def _motor(path: Path, name: str, table: object) -> MotorCalibration:
     keys = {key: table[key] for key in KEYS if key in table} if isinstance(table, dict) else table
     motor = MotorCalibration(name, **read_table(path, f"motor {name!r}:", keys, KEYS))
     if motor.range_min >= motor.range_max:

@@ -1,7 +1,4 @@
-"""A file appears whole or not at all: an interrupted run leaves the last whole one under its name.
-
-What is written to a store is a file of this machine until it is whole; then it is sent.
-"""
+"""A file appears whole or not at all: an interrupted run leaves the last whole one under its name."""
 
 from __future__ import annotations
 
@@ -11,12 +8,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from tauext.errors import ConfigError
-from tauext.files.copies import in_order, put, written_as
-from tauext.files.places import Place
 
 
 @contextmanager
-def atomic_write(path: Place) -> Iterator[Path]:
+def atomic_write(path: Path) -> Iterator[Path]:
     """The name NAME.part beside it to write under; renamed at the end, removed where writing fails.
 
     Folders are not made. Errors of the system come out as they are.
@@ -26,13 +21,13 @@ def atomic_write(path: Place) -> Iterator[Path]:
 
 
 @contextmanager
-def atomic_files(*paths: Place) -> Iterator[tuple[Path, ...]]:
+def atomic_files(*paths: Path) -> Iterator[tuple[Path, ...]]:
     """Write files that belong together: none is renamed before all are written; the last one is renamed last."""
-    parts = tuple(written_as(path) for path in paths)
+    parts = tuple(path.with_name(path.name + ".part") for path in paths)
     try:
         yield parts
         for part, path in zip(parts, paths, strict=True):
-            put(part, path)
+            part.replace(path)
     except BaseException as error:
         if isinstance(error, OSError) and not error.filename:  # a full disk: write() does not name the file
             error.filename = str(paths[0])
@@ -70,20 +65,24 @@ def new_folder(folder: Path) -> Iterator[Path]:
         shutil.rmtree(part, ignore_errors=True)
 
 
+LAST = ("report.html", "check.json")
+"""Names of files by which a folder is known to be whole."""
+
+
 @contextmanager
-def atomic_folder(folder: Place) -> Iterator[Path]:
+def atomic_folder(folder: Path) -> Iterator[Path]:
     """A folder NAME.part beside it to write into; its files move into the folder at the end, which is made.
 
     Other files of the folder stay. If writing fails, nothing has changed.
     """
-    part = written_as(folder)
+    part = folder.with_name(folder.name + ".part") if folder.name else folder / ".part"
     shutil.rmtree(part, ignore_errors=True)  # of a run that was killed
     part.mkdir(parents=True)
     try:
         yield part
-        for file in sorted((path for path in part.rglob("*") if path.is_file()), key=in_order):
-            place = folder / file.relative_to(part).as_posix()
-            place.parent.mkdir(parents=True, exist_ok=True)
-            put(file, place)
+        for file in sorted((one for one in part.rglob("*") if one.is_file()), key=lambda one: (one.name in LAST, one)):
+            path = folder / file.relative_to(part)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            file.replace(path)
     finally:
         shutil.rmtree(part, ignore_errors=True)

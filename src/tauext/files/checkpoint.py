@@ -17,6 +17,13 @@ from typing import Any
 from tauext.config import fits
 from tauext.files.atomic_write import atomic_write
 
+
+def cache_folder() -> Path:
+    """$XDG_CACHE_HOME/tauext, or ~/.cache/tauext: what can be made again. It may not exist."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base and Path(base).is_absolute() else Path.home() / ".cache") / "tauext"
+
+
 EVERY_S = 20.0
 """Between two writings: with one step of the work and the writing itself, less than 30 s are lost."""
 FOLDERS = tuple(f"tauext.{name}." for name in ("config", "data", "bundle", "check", "train"))

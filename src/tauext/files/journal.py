@@ -24,7 +24,6 @@ from typing import Any
 from zlib import crc32
 
 from tauext.files.journal_lines import is_whole, why_unusable
-from tauext.files.places import Place, is_stored
 from tauext.files.plain_file import FORMAT, expect_file, json_of
 from tauext.files.synced_file import lock, set_aside, sync_folder, write_all, write_reserved, write_synced
 
@@ -136,16 +135,12 @@ class _Seen:
     """Whether both files had the same content."""
 
 
-_seen: dict[Place, _Seen] = {}
+_seen: dict[Path, _Seen] = {}
 _reading = threading.RLock()
 
 
-def read(folder: Place) -> Contents:
-    """The journal of a folder, from both files; without them, or where nothing in them is readable, empty.
-
-    Raises:
-        StoreError: a store cannot be reached.
-    """
+def read(folder: Path) -> Contents:
+    """The journal of a folder, from both files; without them, or where nothing in them is readable, empty."""
     with _reading:
         seen, stamps = _seen.get(folder), _stamps(folder)
         if seen is None or seen.stamps != stamps:
@@ -154,18 +149,16 @@ def read(folder: Place) -> Contents:
         return seen.contents
 
 
-def is_journal(folder: Place) -> bool:
+def is_journal(folder: Path) -> bool:
     """Whether a journal, or what is left of one, lies in the folder."""
     return any((folder / name).is_file() for name in (NAME, COPY))
 
 
-def _stamps(folder: Place) -> tuple[Any, ...]:
-    if is_stored(folder):
-        return ()
+def _stamps(folder: Path) -> tuple[Any, ...]:
     return tuple(map(_stamp, (folder / NAME, folder / COPY)))
 
 
-def _stamp(path: Place) -> tuple[int, int, int] | None:
+def _stamp(path: Path) -> tuple[int, int, int] | None:
     try:
         status = path.stat()
     except OSError:
@@ -173,7 +166,7 @@ def _stamp(path: Place) -> tuple[int, int, int] | None:
     return status.st_ino, status.st_size, status.st_mtime_ns
 
 
-def _grown(folder: Place, seen: _Seen, stamps: tuple[Any, ...]) -> _Seen | None:
+def _grown(folder: Path, seen: _Seen, stamps: tuple[Any, ...]) -> _Seen | None:
     """What was read, with the lines that were appended since; None: the files are others than those."""
     (now, copy), before = stamps, seen.stamps[0]
     if not now or not before or now[0] != before[0] or now[1] < seen.end or (copy and copy[1] > now[1]):
@@ -198,7 +191,7 @@ def _grown(folder: Place, seen: _Seen, stamps: tuple[Any, ...]) -> _Seen | None:
     return _Seen(stamps, seen.end + len(added), (seen.tail + added)[-TAIL:], contents, seen.is_even)
 
 
-def _whole(folder: Place, seen: _Seen | None, stamps: tuple[Any, ...]) -> _Seen:
+def _whole(folder: Path, seen: _Seen | None, stamps: tuple[Any, ...]) -> _Seen:
     """All lines of both files, and those that this process has read before from the same journal."""
     raw, copy = (_bytes(folder / name) for name in (NAME, COPY))
     lines = _lines(raw) if raw == copy else _joined(_lines(copy), _lines(raw))
@@ -213,7 +206,7 @@ def _whole(folder: Place, seen: _Seen | None, stamps: tuple[Any, ...]) -> _Seen:
     return _Seen(stamps, end, raw[max(0, end - TAIL) : end], contents, raw == copy)
 
 
-def _is_there(folder: Place) -> bool:
+def _is_there(folder: Path) -> bool:
     """Whether the folder is still one with other files: one that was removed has no journal any more."""
     try:
         return any(one.name not in (NAME, COPY, LOCK) for one in folder.iterdir())
@@ -221,7 +214,7 @@ def _is_there(folder: Place) -> bool:
         return False
 
 
-def _bytes(path: Place) -> bytes:
+def _bytes(path: Path) -> bytes:
     """The content of a file; empty where it cannot be read."""
     with suppress(OSError):
         expect_file(path)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from pathlib import Path
 
-from tauext.files.places import Place
 from tauext.files.plain_file import json_of, read_text
 
 LOGS = {
@@ -26,7 +26,7 @@ FOOTER = 1 << 20
 SPLIT = "split.json"
 
 
-def why_no_dataset(path: Place) -> str:
+def why_no_dataset(path: Path) -> str:
     """What the path holds instead of a dataset, and the next command; empty where a folder holds nothing known."""
     if not path.exists():
         return (
@@ -51,7 +51,7 @@ def why_no_dataset(path: Place) -> str:
     return ""
 
 
-def why_no_recording(path: Place) -> str:
+def why_no_recording(path: Path) -> str:
     """What the path holds instead of a recording, and the next command; empty where a file holds nothing known."""
     if path.is_dir():
         if first(path, ".parquet"):
@@ -67,7 +67,7 @@ def why_no_recording(path: Place) -> str:
     return ""
 
 
-def why_no_bundle(path: Place) -> str:
+def why_no_bundle(path: Path) -> str:
     """What the path holds instead of a bundle, and the next command; empty where a file holds nothing known."""
     if not path.exists():
         return "there is no such bundle; `tauext train` makes one"
@@ -81,37 +81,37 @@ def why_no_bundle(path: Place) -> str:
     return ""
 
 
-def make_dataset(log: Place) -> str:
+def make_dataset(log: Path) -> str:
     return (
         f"`tauext import --new arm.toml --source {log}` describes it, then "
         f"`tauext import --source {log} --arm arm.toml --out DIR` makes the dataset DIR"
     )
 
 
-def import_first(log: Place) -> str:
+def import_first(log: Path) -> str:
     return f"import it first: `tauext import --new arm.toml --source {log}` begins"
 
 
-def log_kind(path: Place) -> str:
+def log_kind(path: Path) -> str:
     """A file or folder that `tauext import` may read, in words."""
     if path.is_dir():
         return "a LeRobot dataset" if (path / "meta").is_dir() else "a ROS 2 bag"
     return LOGS.get(path.suffix, "a Parquet file" if path.suffix == ".parquet" else "a file")
 
 
-def first_log(folder: Place) -> Place | None:
+def first_log(folder: Path) -> Path | None:
     """The first of the logs in a folder, or the folder itself where it is one log."""
     if (folder / "metadata.yaml").is_file() or (folder / "meta" / "info.json").is_file():
         return folder
     return first(folder, *LOGS)
 
 
-def first(folder: Place, *ends: str) -> Place | None:
+def first(folder: Path, *ends: str) -> Path | None:
     """The first file, by name, that ends so."""
     return min((one for one in folder.iterdir() if one.suffix in ends and one.is_file()), key=str, default=None)
 
 
-def is_simulated(folder: Place) -> bool:
+def is_simulated(folder: Path) -> bool:
     """Whether `tauext simulate` made the folder or began to; its run.json states it."""
     with suppress(OSError, ValueError):
         run = json_of(read_text(folder / "run.json"))
@@ -119,11 +119,11 @@ def is_simulated(folder: Place) -> bool:
     return False
 
 
-def is_bundle(path: Place) -> bool:
+def is_bundle(path: Path) -> bool:
     return begins(path, BUNDLE_MAGIC)
 
 
-def is_recording(path: Place) -> bool:
+def is_recording(path: Path) -> bool:
     """Whether the file is a recording of tauext, and not another Parquet file."""
     if path.suffix != ".parquet" or not begins(path, PARQUET_MAGIC):
         return False
@@ -133,7 +133,7 @@ def is_recording(path: Place) -> bool:
     return False
 
 
-def begins(path: Place, magic: bytes) -> bool:
+def begins(path: Path, magic: bytes) -> bool:
     with suppress(OSError):
         if path.is_file():
             with path.open("rb") as raw:

@@ -10,10 +10,10 @@ import re
 import stat
 import tomllib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from tauext.errors import ConfigError, TauextError
-from tauext.files.places import Place, answers
 
 FORMAT = 1
 """Format number of every kind of file that this version writes and reads."""
@@ -22,7 +22,7 @@ LARGEST_TEXT = 1 << 28
 """Largest size of a file that is read whole, [bytes]; results of a thousand hours are a hundredth of it."""
 
 
-def expect_file(path: Place) -> None:
+def expect_file(path: Path) -> None:
     """Raise OSError unless the path is a file: opening a pipe blocks, and a device may have no end."""
     mode = path.stat().st_mode
     if stat.S_ISDIR(mode):
@@ -32,7 +32,7 @@ def expect_file(path: Place) -> None:
 
 
 def expect_format(
-    content: object, path: Place, remedy: str, error: type[TauextError] = ConfigError, key: str = "format"
+    content: object, path: Path, remedy: str, error: type[TauextError] = ConfigError, key: str = "format"
 ) -> None:
     """Raise the error unless a file's content names, under this key, the format that this version reads."""
     found = content.get(key) if isinstance(content, dict) else None
@@ -45,21 +45,21 @@ def expect_format(
         )
 
 
-def read_bytes(path: Place) -> bytes:
+def read_bytes(path: Path) -> bytes:
     """The content of a file.
 
     Raises:
         OSError: there is no such file, or it is none, or larger than any that is meant.
     """
     expect_file(path)
-    with answers(path), path.open("rb") as file:
+    with path.open("rb") as file:
         raw = file.read(LARGEST_TEXT + 1)
     if len(raw) > LARGEST_TEXT:
         raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
     return raw
 
 
-def read_text(path: Place) -> str:
+def read_text(path: Path) -> str:
     """The text of a file.
 
     Raises:
@@ -77,7 +77,7 @@ def json_of(text: str | bytes, parse_constant: Callable[[str], Any] | None = Non
         raise ValueError("it is nested too deeply") from None
 
 
-def read_json(path: Place, missing: str = "there is no such file", kind: str = "") -> Any:
+def read_json(path: Path, missing: str = "there is no such file", kind: str = "") -> Any:
     """The value in a JSON file.
 
     Args:

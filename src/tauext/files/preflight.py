@@ -7,10 +7,9 @@ import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 
 from tauext.errors import ConfigError
-from tauext.files.copies import at_home
-from tauext.files.places import Place, StoredPlace
 
 LEAST_ROOM = 1 << 20
 """Free space that a disk must have for a bundle, a page or a description, [bytes]."""
@@ -19,7 +18,7 @@ LONGEST_S = 30 * 86400.0
 MEMORY_UNITS = ("bytes", "kB", "MB", "GB", "TB", "PB")
 
 
-def expect_new_file(path: Place, size: float = LEAST_ROOM) -> None:
+def expect_new_file(path: Path, size: float = LEAST_ROOM) -> None:
     """Raise ConfigError unless a file can be written under this name, of so many bytes."""
     expect_text(path)
     if path.is_dir():
@@ -29,7 +28,7 @@ def expect_new_file(path: Place, size: float = LEAST_ROOM) -> None:
     expect_folder(path.parent, size)
 
 
-def expect_text(path: Place) -> None:
+def expect_text(path: Path) -> None:
     """Raise ConfigError where the name is no text: the core, libraries and terminals take no other."""
     try:
         str(path).encode()
@@ -39,19 +38,14 @@ def expect_text(path: Place) -> None:
         raise ConfigError(f"{path}: this name has characters that cannot be printed; choose another")
 
 
-def expect_folder(folder: Place, size: float = LEAST_ROOM, what: str = "") -> None:
+def expect_folder(folder: Path, size: float = LEAST_ROOM, what: str = "") -> None:
     """Raise ConfigError unless the folder is there or can be made, can be written to, and has room.
-
-    Of a store its bucket must be there, and this machine must have room for what is staged.
 
     Args:
         size: of what is to be written, [bytes].
         what: setting that needs so much: `minutes = 1e9`.
     """
     expect_text(folder)
-    if isinstance(folder, StoredPlace):
-        folder.expect_bucket()
-        folder = at_home(folder)
     there = folder.absolute()
     try:
         while not there.exists() and there != there.parent:
@@ -81,7 +75,7 @@ COPIES = 2
 """How often a table is in memory while it is read."""
 
 
-def expect_rows_fit(path: Place, rows: int, columns: int) -> None:
+def expect_rows_fit(path: Path, rows: int, columns: int) -> None:
     """Raise ConfigError where a table of numbers is larger than the free memory: a small file can state 1e9 rows."""
     what = f"{path}: to read {rows:,} rows of {columns} columns"
     expect_memory(8.0 * COPIES * rows * columns, what, "split the file, or use a computer with more memory")

@@ -11,12 +11,11 @@ from typing import Any
 
 from tauext._core import __version__ as VERSION
 from tauext.files.atomic_write import atomic_write
-from tauext.files.places import Place
 
 LIBRARIES = ("numpy", "mujoco", "pyarrow")
 
 
-def write_json(content: Any, path: Place) -> None:
+def write_json(content: Any, path: Path) -> None:
     """Write under a temporary name, then rename; the same content gives the same bytes."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as part:

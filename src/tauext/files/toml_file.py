@@ -19,7 +19,6 @@ from tauext.config import described
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.kind import is_bundle
-from tauext.files.places import Place
 from tauext.files.plain_file import read_text, toml_of
 
 REQUIRED = object()
@@ -122,7 +121,7 @@ def tables(each: str, default: Any = REQUIRED) -> Key:
     return Key(read, f"{many if 'NAME' in each or kind is list else 'a table'} {each}", default)
 
 
-def read_table(path: Place | str, table: str, content: Any, keys: Mapping[str, Key]) -> dict[str, Any]:
+def read_table(path: Path | str, table: str, content: Any, keys: Mapping[str, Key]) -> dict[str, Any]:
     """The values of all keys, defaults for those left out.
 
     Args:
@@ -148,7 +147,7 @@ def read_table(path: Place | str, table: str, content: Any, keys: Mapping[str, K
     return values
 
 
-def refuse_unknown(path: Place | str, table: str, content: Any, known: Iterable[str]) -> None:
+def refuse_unknown(path: Path | str, table: str, content: Any, known: Iterable[str]) -> None:
     """ConfigError unless the content is a table and all of its keys are known."""
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: {table} is {content!r}, must be a table")
@@ -158,7 +157,7 @@ def refuse_unknown(path: Place | str, table: str, content: Any, known: Iterable[
             raise unknown_key(str(path), key, listed, f" in {table}" if table else " at the top")
 
 
-def read_toml(path: Place, advice: str = "") -> dict[str, Any]:
+def read_toml(path: Path, advice: str = "") -> dict[str, Any]:
     """The content of the file.
 
     Args:
@@ -178,7 +177,7 @@ def read_toml(path: Place, advice: str = "") -> dict[str, Any]:
         raise ConfigError(f"{path}: cannot be read ({error})") from error
 
 
-def parse_toml(content: str, path: Place) -> dict[str, Any]:
+def parse_toml(content: str, path: Path) -> dict[str, Any]:
     """Content of a TOML text; raises as read_toml."""
     try:
         return toml_of(content)
@@ -208,7 +207,7 @@ def settings_of(kind: type[Settings], content: Any, where: str, left_out: Mappin
 
     Args:
         content: a TOML table; nested tables are nested dataclasses.
-        where: for messages, as `fleet.toml: [train]`.
+        where: for messages, as `train.toml: [alarm]`.
         left_out: fields that are not to be set here, and why.
 
     Raises:
@@ -225,7 +224,7 @@ def values_of(kind: type, content: Any, where: str, left_out: Mapping[str, str] 
     """Arguments for the dataclass, as of settings_of; rules that join several of its fields are not checked yet."""
     if not isinstance(content, dict):
         raise ConfigError(f"{where} = {content!r} must be a table")
-    hints = get_type_hints(kind)
+    hints = hints_of(kind)
     refused = left_out or {}
     for key in content:
         if key in refused:
@@ -245,6 +244,12 @@ def values_of(kind: type, content: Any, where: str, left_out: Mapping[str, str] 
     return values
 
 
+def hints_of(kind: type) -> dict[str, Any]:
+    """Types of the fields of a dataclass; a field with `choices` in its metadata has one of these."""
+    chosen = {one.name: one.metadata["choices"] for one in fields(kind) if "choices" in one.metadata}
+    return get_type_hints(kind) | {name: Literal[tuple(choices())] for name, choices in chosen.items()}
+
+
 def field_help(kind: type) -> dict[str, str]:
     """The docstring under each field of a dataclass, without line breaks, and the choices in the field's metadata."""
     found: dict[str, str] = {}
@@ -256,7 +261,7 @@ def field_help(kind: type) -> dict[str, str]:
                 found[ast.unparse(one.target)] = " ".join(ast.literal_eval(text.value).split())
     for name, choices in ((one.name, one.metadata.get("choices")) for one in fields(kind)):
         if choices:
-            found[name] += f" {'; '.join(f'{choice}: {words}' for choice, words in choices.items())}."
+            found[name] += f" {'; '.join(f'{choice}: {words}' for choice, words in choices().items())}."
     return found
 
 
@@ -267,7 +272,7 @@ def settings_text(kind: type) -> str:
 
 def key_lines(settings: Any, table: str) -> Iterator[str]:
     """Keys of one table, then those of the tables within."""
-    hints, words = get_type_hints(type(settings)), field_help(type(settings))
+    hints, words = hints_of(type(settings)), field_help(type(settings))
     inner = [one.name for one in fields(settings) if is_dataclass(getattr(settings, one.name))]
     for name in (one.name for one in fields(settings) if one.name not in inner):
         yield from comment_lines(words[name])

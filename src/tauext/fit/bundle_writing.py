@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tauext import _core
-from tauext.config import DriftConfig, FilterConfig, ObserverConfig, RecipeName
+from tauext.config import DriftConfig, FilterConfig, ObserverConfig
 from tauext.data.free_motion import SignalBounds
 from tauext.data.recording import Recording
 from tauext.errors import TrainingError
@@ -60,7 +60,7 @@ def build_setup(
     tree: _core.Tree,
     recording: Recording,
     config: ObserverConfig,
-    recipe: RecipeName = "observer",
+    recipe: str = "observer",
     filters: FilterConfig | None = None,
 ) -> Setup:
     """The estimated model and the settings that follow from the recording's rate and torque timing.

@@ -108,23 +108,6 @@ def fit_coverage(setup: Setup, recordings: Sequence[Recording]) -> CoverageFit:
     return CoverageFit(seen(motion, slides, reach, together), reported(reach, together, speeds=True))
 
 
-def seen_too(
-    fit: CoverageFit, others: _core.CoverageSettings, setup: Setup, recordings: Sequence[Recording]
-) -> CoverageFit:
-    """The fit with the motion of other arms of the type, whose cells and reaches it takes over.
-
-    A fleet prior's pose holds for one more arm of the type, though this one never was there.
-    """
-    motion = Motion.of(recordings, setup.observer.network_stride)
-    both = _core.CoverageSettings()
-    for name in ("turns", "centre_rad", "span_rad", "seen", "reach", "seen_together", "reach_together"):
-        setattr(both, name, getattr(others, name))
-    own = np.maximum(motion.lasting.max(axis=0), LEAST_SPEED_RAD_S)
-    both.fastest_rad_s = np.maximum(own, others.fastest_rad_s).tolist()
-    both.see(motion.q)
-    return CoverageFit(both, fit.left_out_share)
-
-
 def seen(motion: Motion, slides: np.ndarray, reach: np.ndarray, together: int) -> _core.CoverageSettings:
     """Coverage of this motion. Cells of a revolute joint cover one turn, those of a prismatic joint twice its range.
 

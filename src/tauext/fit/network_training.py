@@ -13,14 +13,14 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from tauext import _core
+from tauext import _core, plugins
 from tauext.bundle.estimates import OK
 from tauext.config import TrainConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
 from tauext.files.atomic_write import atomic_write
 from tauext.fit.core_backend import Adam, CoreBackend
-from tauext.fit.training_set import Setup, TooShort, WindowSet
+from tauext.fit.training_set import Scaling, Setup, TooShort, WindowSet
 from tauext.recipes import Drawing
 
 # --- Targets and sizes of training steps: the paper's schedule, and the dense one.
@@ -321,6 +321,20 @@ class TrainedNetwork:
     seconds: float
 
 
+@dataclass(frozen=True)
+class ScaledNetwork:
+    """A trained network with the scales of its inputs and outputs."""
+
+    scaling: Scaling
+    trained: TrainedNetwork
+
+
+def validation_loss(backend: Backend, parameters: np.ndarray, validation: WindowSet, ends: np.ndarray) -> float:
+    """Mean squared error of the windows that end at these rows."""
+    error = backend.predict(parameters, validation, ends) - validation.target_rows[ends]
+    return float(np.mean(np.square(error, dtype=np.float64)))
+
+
 def train_network(
     setup: Setup,
     training: WindowSet,
@@ -354,22 +368,17 @@ def train_network(
     backend = backend or make_backend(setup, training, config, schedule.length, schedule.targets)
     shown = validation.ends[:: max(1, validation.windows // schedule.validation_windows)].copy()
     state = load_checkpoint(settings or {}, checkpoint_path) if checkpoint_path else None
-    if state is None:
-        start = backend.initial_parameters(config.seed)
-        state = TrainState((start, Adam.start(len(start))), [], start.astype(np.float32))
+    state = state or first_state(backend, config.seed)
     resumed_seconds = state.seconds
     started = saved = time.monotonic()
     whole = replace(state)  # after a step with all that belongs to it: an interruption may come between
     try:
         while (done := state.at[1].steps) < schedule.steps and not schedule.gives_up(state.history):
             loss = take_step(state, backend, schedule, config)
-            state.running_loss = loss if state.running_loss is None else 0.99 * state.running_loss + 0.01 * loss
             done += 1
             if done % schedule.report_every == 0 or done == schedule.steps:
                 candidate = state.at[0].astype(np.float32)
-                error = backend.predict(candidate, validation, shown) - validation.target_rows[shown]
-                validated = float(np.mean(np.square(error, dtype=np.float64)))
-                keep_best(state, schedule, candidate, state.running_loss, validated)
+                keep_best(state, schedule, candidate, loss, validation_loss(backend, candidate, validation, shown))
                 state.seconds = resumed_seconds + time.monotonic() - started
                 report(Progress(done, schedule.steps, *state.history[-1][1:]))
             whole = replace(state, seconds=resumed_seconds + time.monotonic() - started)
@@ -387,8 +396,14 @@ def train_network(
     return TrainedNetwork(shape, best, state.history, state.at[1].steps, state.seconds)
 
 
+def first_state(backend: Backend, seed: int) -> TrainState:
+    """The state before any step."""
+    start = backend.initial_parameters(seed)
+    return TrainState((start, Adam.start(len(start))), [], start.astype(np.float32))
+
+
 def take_step(state: TrainState, backend: Backend, schedule: Schedule, config: TrainConfig) -> float:
-    """Advance the state by one step; returns the loss before it.
+    """Advance the state by one step; returns the running mean of the loss.
 
     Raises:
         TrainingError: the loss diverges.
@@ -405,7 +420,9 @@ def take_step(state: TrainState, backend: Backend, schedule: Schedule, config: T
     if norm > schedule.largest_gradient:
         gradient = gradient * (schedule.largest_gradient / norm)
     state.at = adam.step(parameters, gradient, schedule.learning_rate(done), schedule.square_decay)
-    return loss
+    mean = loss if state.running_loss is None else 0.99 * state.running_loss + 0.01 * loss
+    state.running_loss = mean
+    return mean
 
 
 def keep_best(state: TrainState, schedule: Schedule, candidate: np.ndarray, loss: float, validated: float) -> None:
@@ -419,13 +436,10 @@ def keep_best(state: TrainState, schedule: Schedule, candidate: np.ndarray, loss
 
 def make_backend(setup: Setup, training: WindowSet, config: TrainConfig, length: int, targets: int) -> Backend:
     """The backend that the config names, for sequences of this length and so many targets."""
-    if config.backend == "torch":
-        from tauext.fit.torch_backend import TorchBackend, lstm_module
-
-        module = lstm_module(setup, config.hidden, config.seed)
-        backend: Backend = TorchBackend(module, setup, training, length, targets)
+    if config.backend == "core":
+        backend: Backend = CoreBackend(setup, training, config.hidden, length, targets, config.threads)
     else:
-        backend = CoreBackend(setup, training, config.hidden, length, targets, config.threads)
+        backend = plugins.part(config.backend)(setup, training, config, length, targets)
     drawing = config.row.drawing
     if not config.row.draws or (drawing.speed_factor, drawing.change_factor) == (1.0, 0.0):
         return backend

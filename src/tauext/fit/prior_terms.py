@@ -112,7 +112,7 @@ def region_width(widths_rad: Sequence[float], config: PriorConfig) -> int:
 # --- Terms that a prior is made of.
 
 
-Kind = _core.TermKind
+Term, Kind = _core.Term, _core.TermKind
 LEVELS_OFF = 1.5
 """Times its smoothing, a speed gives a Coulomb term 91 % of its value."""
 ESTIMATED, CORRECTED = 0, 1

@@ -9,7 +9,7 @@ from itertools import groupby
 import numpy as np
 
 from tauext import _core
-from tauext._core import PlaceModel
+from tauext._core import LoadFound, PlaceModel
 from tauext.bundle.estimates import CONTACT, FAULT, FIRST_KIND, HEALTHS, NONE, OK, unexplained
 from tauext.bundle.units import short
 from tauext.errors import RecordingError
@@ -18,7 +18,7 @@ from tauext.monitor.events import touch_words
 from tauext.monitor.flight_content import Flight, FlightSource, as_recording, carried, event_kind
 from tauext.monitor.loads import load_words
 from tauext.monitor.touch_place import PlaceChange, place_words, strongest_place
-from tauext.monitor.weighing import SUMS, Seen, identify, load_frame, mass_error, mass_words
+from tauext.monitor.weighing import WeighedMotion, identify, load_frame, mass_error, mass_words
 
 # --- Meaning and remedy of each cause of bad health.
 
@@ -303,16 +303,16 @@ def fits_load(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
     if set(source.bundle.estimate_units) != {"N m"}:  # a weight has no meaning in another unit
         return ""
     frame = load_frame(source.bundle)
-    seen = behind_the_event(flight, kept, source)
+    motion = behind_the_event(flight, kept, source)
     try:
-        found = identify(source.bundle, frame, [seen])
+        found = identify(source.bundle, frame, [motion])
     except RecordingError:
         return ""  # too few samples
     if found.verdict != "load" or not found.mass_seen or found.at_bound:
         return ""
     event_s = source.time_s(flight["event"].t_ns)
-    start_s = source.time_s(int(seen.recording.t_ns[0]))
-    first_s, last_s = (start_s + float(seen.time_s[row]) - event_s for row in (0, -1))
+    start_s = source.time_s(int(motion.recording.t_ns[0]))
+    first_s, last_s = (start_s + float(motion.time_s[row]) - event_s for row in (0, -1))
     before = next(load for row, load in reversed(carried(flight)) if row <= flight["event_row"])
     beside = f", beside the {before.mass:.3g} kg that was set" if before.mass > 0 else ""
     return (
@@ -322,7 +322,7 @@ def fits_load(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
     )
 
 
-def behind_the_event(flight: Flight, kept: np.ndarray, source: FlightSource) -> Seen:
+def behind_the_event(flight: Flight, kept: np.ndarray, source: FlightSource) -> WeighedMotion:
     """The healthy rows from the event on, once r has settled, without a change of the set load."""
     chain, row = source.bundle, flight["event_row"]
     observer = chain.observer
@@ -337,10 +337,10 @@ def behind_the_event(flight: Flight, kept: np.ndarray, source: FlightSource) -> 
     if len(gaps):
         usable[: gaps[-1] + 1] = False
     samples = np.flatnonzero(usable)[:: observer.network_stride]
-    sigma = flight["sigma_nm"] if source.has_error_scale else SUMS.SIGMA_OF_LIMIT * flight["limit_nm"]
+    sigma = flight["sigma_nm"] if source.has_error_scale else LoadFound.SIGMA_OF_LIMIT * flight["limit_nm"]
     learned = flight["drift"] - flight["drift"][row]
-    near = flight["near_stiction"][kept].astype(bool)
-    return Seen.of(recording, samples, (flight["tau_ext"] + learned)[kept], sigma[kept], near)
+    near = flight["near_stiction"][kept].astype(np.uint8)
+    return WeighedMotion.of(recording, samples, (flight["tau_ext"] + learned)[kept], sigma[kept], near)
 
 
 # --- Text of a flight: event, time, joint, excess over the limit, and the time before.

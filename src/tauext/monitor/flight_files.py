@@ -21,7 +21,6 @@ from tauext.data.recording_file import save_recording
 from tauext.data.servo import AMPERES
 from tauext.errors import ConfigError, RecordingError, TauextError
 from tauext.files.atomic_write import atomic_write
-from tauext.files.places import Place
 from tauext.files.provenance import VERSION
 from tauext.monitor.explanation import explain
 from tauext.monitor.flight_content import (
@@ -52,7 +51,7 @@ class FlightNews:
     """collision, contact or fault."""
     t_ns: int
     """Time of the event."""
-    path: Place | None
+    path: Path | None
     error: str | None = None
     number: int = 0
     """Number of the alarm; 0: a fault."""
@@ -102,8 +101,6 @@ class FlightSettings:
     after_s: float
     contacts: bool
     """Whether to write flights of contacts too."""
-    given: Place | Path
-    """Folder given by the user, to which flights may be sent later."""
 
     def recorder(self, bundle: _core.Bundle) -> _core.FlightRecorder:
         """Make a new recorder and the folder.
@@ -115,7 +112,7 @@ class FlightSettings:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise ConfigError(f"{self.given}: no folder for flights ({error.strerror or error})") from error
+            raise ConfigError(f"{self.folder}: no folder for flights ({error.strerror or error})") from error
         period_ns = bundle.observer.sample_period_ns
         return _core.FlightRecorder(bundle.joints, period_ns, self.before_s, self.after_s, self.contacts)
 

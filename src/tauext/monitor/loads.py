@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from tauext._core import Load, LoadSettings
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.plain_file import number_of
 from tauext.files.toml_file import number, numbers, read_table, read_toml, tables
 
@@ -59,7 +59,7 @@ def expected_of_text(text: str) -> Expected:
     return expected_of_table(where, "", table)
 
 
-def expected_of_table(path: Place | str, table: str, content: Any) -> Expected:
+def expected_of_table(path: Path | str, table: str, content: Any) -> Expected:
     """Read the expected load in a table.
 
     Raises:
@@ -102,7 +102,7 @@ def load_and_ago_of_text(text: str, extra: Sequence[str] = ("ago",)) -> tuple[Lo
     return (NOTHING if first == "none" else load_of_table(where, "", table)), ago
 
 
-def load_of_table(path: Place | str, table: str, content: Any) -> Load:
+def load_of_table(path: Path | str, table: str, content: Any) -> Load:
     """Read the load in a table of mass, com, inertia and error; three numbers of inertia are the diagonal.
 
     Raises:
@@ -113,7 +113,7 @@ def load_of_table(path: Place | str, table: str, content: Any) -> Load:
     return load if error is None else Load(load.mass, load.com, load.inertia, error)
 
 
-def read_loads(path: Place) -> list[TimedLoad]:
+def read_loads(path: Path) -> list[TimedLoad]:
     """Read loads with times from a TOML file of tables [[load]]: from_s, mass, com, inertia, error.
 
     Raises:

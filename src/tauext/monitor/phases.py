@@ -6,11 +6,11 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from tauext._core import Bundle, DeclaredContact, Monitor, WrenchAxes
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.plain_file import number_of
 from tauext.files.toml_file import Key, flag, number, numbers, one_of, read_table, read_toml, text
 from tauext.monitor.changes import DeclaredChange
@@ -209,7 +209,7 @@ def contact_of_table(where: str, values: Mapping[str, Any]) -> DeclaredContact:
     )
 
 
-def read_phases(path: Place) -> Phases:
+def read_phases(path: Path) -> Phases:
     """Read a phases.toml: a table [NAME] for each phase.
 
     Raises:
@@ -268,7 +268,7 @@ def _value(where: str, key: str, value: str) -> Any:
     return found if key in VECTORS else found[0] if len(found) == 1 else found
 
 
-def phases_of(path: Place | None, bundle: Bundle) -> tuple[Phases | None, list[str]]:
+def phases_of(path: Path | None, bundle: Bundle) -> tuple[Phases | None, list[str]]:
     """The phases of this file, and what is not monitored during them; None without a file.
 
     Raises:

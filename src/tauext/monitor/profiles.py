@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tauext._core import Load
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.toml_file import Key, number, one_of, read_table, read_toml, refuse_unknown, tables
 from tauext.monitor.loads import Expected, expected_of_table, load_of_table, load_of_text
 
@@ -53,7 +53,7 @@ class Profiles:
         return self.by_name[name]
 
 
-def load_profiles(path: Place, joints: Sequence[str]) -> Profiles:
+def load_profiles(path: Path, joints: Sequence[str]) -> Profiles:
     """Read a profiles.toml for an arm of these joints.
 
     Raises:
@@ -77,7 +77,7 @@ def load_profiles(path: Place, joints: Sequence[str]) -> Profiles:
     return Profiles(found, start["profile"])
 
 
-def _load(path: Place, where: str, value: Any) -> Load:
+def _load(path: Path, where: str, value: Any) -> Load:
     if isinstance(value, str):
         try:
             return load_of_text(value)
@@ -86,7 +86,7 @@ def _load(path: Place, where: str, value: Any) -> Load:
     return load_of_table(path, f"[{where}.load]", value)
 
 
-def _factors(path: Place, where: str, table: Any, level: str, joints: Sequence[str], factor: Key) -> np.ndarray:
+def _factors(path: Path, where: str, table: Any, level: str, joints: Sequence[str], factor: Key) -> np.ndarray:
     value = table.get(level, 1.0)
     if not isinstance(value, dict):
         return np.full(len(joints), read_table(path, f"[{where}]", {level: value}, {level: factor})[level])

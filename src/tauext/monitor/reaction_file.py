@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from tauext.bundle.estimates import TOUCHES
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.toml_file import Key, flag, names, number, read_table, read_toml, tables, text
 from tauext.monitor.sink import EVENT_KINDS, EventKind
 
@@ -38,7 +38,7 @@ class Reaction:
 ACTIONS = ("command", "python", "publish", "stop")
 
 
-def load_reactions(path: Place, joints: Sequence[str] | None) -> list[Reaction]:
+def load_reactions(path: Path, joints: Sequence[str] | None) -> list[Reaction]:
     """Read a reactions.toml for an arm of these joints; None: they are not known yet, and any name is accepted.
 
     Raises:
@@ -67,7 +67,7 @@ def load_reactions(path: Place, joints: Sequence[str] | None) -> list[Reaction]:
     return found
 
 
-def _reaction(path: Place, table: Any, keys: dict[str, Key]) -> Reaction:
+def _reaction(path: Path, table: Any, keys: dict[str, Key]) -> Reaction:
     named = isinstance(table, dict) and isinstance(table.get("name"), str)
     where = f"[[reaction]] {table['name']!r}:" if named else "[[reaction]]"
     reaction = Reaction(**read_table(path, where, table, keys))

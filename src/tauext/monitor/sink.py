@@ -9,7 +9,7 @@ from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from tauext._core import Bundle, Load, LoadSums, Monitor
+from tauext._core import Bundle, Load, LoadFound, Monitor
 from tauext.bundle.estimates import COLLISION, FAULT, NONE, OK
 from tauext.monitor.changes import AlarmChange, Change, HealthChange, TouchChange
 from tauext.monitor.episode import Episode
@@ -161,7 +161,7 @@ class Publisher(Protocol):
         ...
 
 
-USUAL_REACH_M: float = LoadSums.USUAL_REACH_M
+USUAL_REACH_M: float = LoadFound.USUAL_REACH_M
 """Default for the largest distance of a load's centre of mass from the load frame."""
 
 

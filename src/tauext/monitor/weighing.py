@@ -10,14 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tauext import _core
+from tauext._core import LoadFound
 from tauext.bundle.estimates import OK
 from tauext.bundle.match import expect_fit
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, RecordingError
 from tauext.monitor.loads import NOTHING
-
-SUMS = _core.LoadSums
-"""Its attributes are the constants of the core's weighing (cpp/src/load)."""
 
 # --- The frame to which a load is fixed.
 
@@ -93,7 +91,7 @@ def weighing_joints(bundle: _core.Bundle) -> np.ndarray:
     return ~own & np.array([unit != "A" for unit in bundle.estimate_units])
 
 
-# --- Rows of a recording: the chain's estimate, its weight, and the torques of a load.
+# --- Recordings and the rows of them that weigh.
 
 
 ROW_S = 0.01
@@ -101,50 +99,51 @@ ROW_S = 0.01
 
 
 @dataclass(frozen=True)
-class Seen:
-    """A recording and its estimates, at the informative rows."""
+class WeighedMotion:
+    """A recording and its estimates, at the rows that weigh."""
 
     recording: Recording
     samples: np.ndarray  # (rows,) of the recording
-    time_s: np.ndarray  # (rows,) from the recording's first sample
     tau_ext: np.ndarray  # (rows, n): without drift tracking, which would absorb the load
     sigma: np.ndarray  # (rows, n)
     worth: np.ndarray  # (rows, n): 1, decreasing while a joint rests, 0 if its torque is in another unit
-    moved: np.ndarray  # (rows, n): |dq|
 
     @property
     def rows(self) -> int:
         return len(self.samples)
 
+    @property
+    def time_s(self) -> np.ndarray:
+        """Times of the rows from the recording's first sample, (rows,)."""
+        return self.recording.time_s[self.samples]
+
     @classmethod
     def of(
         cls, recording: Recording, samples: np.ndarray, tau_ext: np.ndarray, sigma: np.ndarray, near: np.ndarray
-    ) -> Seen:
+    ) -> WeighedMotion:
         """Select samples of a recording.
 
         Args:
             samples: (rows,) of the recording.
             tau_ext, sigma: (samples, n) of the whole recording.
-            near: (samples, n) bool: near stiction.
+            near: (samples, n) uint8: near stiction.
         """
-        worth = stand_worth(near, np.diff(recording.time_s, prepend=0.0))
-        return cls(
-            recording,
-            samples,
-            recording.time_s[samples],
-            tau_ext[samples],
-            np.maximum(sigma[samples], 1e-9),
-            worth[samples],
-            np.abs(recording.dq[samples]),
-        )
+        worth = _core.worth_of_samples(recording.t_ns, near)
+        return cls(recording, samples, tau_ext[samples], np.maximum(sigma[samples], 1e-9), worth[samples])
 
-    def part(self, keep: np.ndarray) -> Seen:
+    def part(self, keep: np.ndarray) -> WeighedMotion:
         """Select rows; keep: (rows,) bool."""
-        fields = (self.samples, self.time_s, self.tau_ext, self.sigma, self.worth, self.moved)
-        return Seen(self.recording, *(values[keep] for values in fields))
+        fields = (self.samples, self.tau_ext, self.sigma, self.worth)
+        return WeighedMotion(self.recording, *(values[keep] for values in fields))
+
+    @property
+    def arrays(self) -> tuple[np.ndarray, ...]:
+        """The motion for `_core.weigh_load` and `_core.weigh_known`."""
+        r = self.recording
+        return r.t_ns, r.q, r.dq, self.samples, self.tau_ext, self.sigma, self.worth
 
 
-def see(bundle: _core.Bundle, recording: Recording, threads: int = 0) -> Seen:
+def see(bundle: _core.Bundle, recording: Recording, threads: int = 0) -> WeighedMotion:
     """Run the chain on a recording and return its healthy rows.
 
     Raises:
@@ -156,63 +155,23 @@ def see(bundle: _core.Bundle, recording: Recording, threads: int = 0) -> Seen:
     stride = max(1, round(ROW_S * recording.rate_hz))
     samples = np.arange(0, recording.samples, stride)
     samples = samples[(estimates["health"] == OK)[samples]]
-    sigma = estimates["sigma_nm"] if bundle.error_scale.on else SUMS.SIGMA_OF_LIMIT * estimates["limit_nm"]
-    seen = Seen.of(recording, samples, estimates["tau_ext"] + estimates["drift"], sigma, estimates["near_stiction"] > 0)
-    return replace(seen, worth=seen.worth * weighing_joints(bundle))
-
-
-def stand_worth(near: np.ndarray, steps_s: np.ndarray) -> np.ndarray:
-    """(1 + t / STAND_S)^-2 with t the time since the joint stopped, 1 while it slides; its time integral is STAND_S.
-
-    Args:
-        near: (samples, n) bool: near stiction.
-        steps_s: (samples,) since the sample before.
-    """
-    stood, worth = np.zeros(near.shape[1]), np.ones(near.shape)
-    for k, step in enumerate(steps_s):
-        stood = np.where(near[k], stood + step, 0.0)
-        worth[k] = (1 + stood / SUMS.STAND_S) ** -2
-    return worth
-
-
-def columns(bundle: _core.Bundle, frame: _core.LoadFrame, seen: Seen, phi: np.ndarray) -> np.ndarray:
-    """The rows of `_core.LoadSums`, (rows, n, columns), about a load phi (10,) as known so far.
-
-    phi determines the loaded side of the gears.
-    """
-    r, sums = seen.recording, _core.LoadSums
-    rows = _core.load_rows(bundle, frame, phi.tolist(), r.t_ns, r.q, r.dq, seen.samples)
-    z = np.empty((*seen.tau_ext.shape, sums.COLUMNS))
-    z[..., sums.LOAD : sums.LOAD + 10] = rows["load"]
-    z[..., sums.OFFSET], z[..., sums.COULOMB] = 1.0, rows["coulomb"]
-    z[..., sums.BASE : sums.BASE + 3], z[..., sums.FRAME : sums.FRAME + 3] = rows["base_forces"], rows["frame_forces"]
-    z[..., sums.GEAR], z[..., sums.TAU_EXT] = rows["offset"], seen.tau_ext
-    return z
-
-
-def sums_about(bundle: _core.Bundle, frame: _core.LoadFrame, parts: Sequence[Seen], phi: np.ndarray) -> _core.LoadSums:
-    """Sums over all rows of these recordings."""
-    sums = _core.LoadSums(bundle.joints)
-    for part in parts:
-        sums.add(columns(bundle, frame, part, phi), part.sigma, part.worth)
-    return sums
+    sigma = estimates["sigma_nm"] if bundle.error_scale.on else LoadFound.SIGMA_OF_LIMIT * estimates["limit_nm"]
+    tau_ext = estimates["tau_ext"] + estimates["drift"]
+    motion = WeighedMotion.of(recording, samples, tau_ext, sigma, estimates["near_stiction"])
+    return replace(motion, worth=motion.worth * weighing_joints(bundle))
 
 
 # --- A load from recordings: mass and centre of mass, their errors, and the verdict.
 
 
-LoadEstimate = _core.LoadFound
-"""Result of weighing; lengths and axes are in the load frame."""
-
-
 def identify(
     bundle: _core.Bundle,
     frame: NamedFrame,
-    parts: Sequence[Seen],
-    reach_m: float = SUMS.USUAL_REACH_M,
-    phi: np.ndarray | None = None,
+    parts: Sequence[WeighedMotion],
+    reach_m: float = LoadFound.USUAL_REACH_M,
+    phi: Sequence[float] = (0.0,) * 10,
     beside: _core.Load = NOTHING,
-) -> LoadEstimate:
+) -> LoadFound:
     """Estimate the load from these rows by weighted least squares on tau_ext.
 
         tau_ext_j = X_j(m, h) + offset_j + Coulomb_j tanh(dq_j / v) + error,   weights worth / (scale_j sigma_j)^2
@@ -227,17 +186,12 @@ def identify(
     Raises:
         RecordingError: fewer than LEAST_ROWS rows.
     """
-    if sum(part.rows for part in parts) < SUMS.LEAST_ROWS:
+    if sum(part.rows for part in parts) < LoadFound.LEAST_ROWS:
         raise RecordingError(
             f"{parts[0].recording.name if parts else 'nothing'}: too few healthy samples to weigh a load; it takes "
-            f"{SUMS.LEAST_ROWS * ROW_S:g} s behind the observer's warm-up"
+            f"{LoadFound.LEAST_ROWS * ROW_S:g} s behind the observer's warm-up"
         )
-    phi = np.zeros(10) if phi is None else phi
-    for _ in range(SUMS.ROUNDS):
-        sums = sums_about(bundle, frame.frame, parts, phi)
-        found = _core.weigh_load(bundle, sums, reach_m, phi.tolist(), beside, rounds=1)
-        phi = found.phi
-    return found
+    return _core.weigh_load(bundle, frame.frame, [part.arrays for part in parts], reach_m, list(phi), beside)
 
 
 # --- Sections of recordings for weighing.
@@ -247,17 +201,17 @@ WINDOW_S = 4.0
 """Length of a window: about the time between two grasps, and short enough to detect a changed load."""
 
 
-def between(seen: Seen, from_s: float | None, to_s: float | None) -> Seen:
+def between(motion: WeighedMotion, from_s: float | None, to_s: float | None) -> WeighedMotion:
     """Select the rows within these times of the recording.
 
     Raises:
         RecordingError: fewer than LEAST_ROWS.
     """
     low, high = from_s if from_s is not None else -np.inf, to_s if to_s is not None else np.inf
-    part = seen.part((seen.time_s >= low) & (seen.time_s <= high))
-    if part.rows < SUMS.LEAST_ROWS:
+    part = motion.part((motion.time_s >= low) & (motion.time_s <= high))
+    if part.rows < LoadFound.LEAST_ROWS:
         raise RecordingError(
-            f"{seen.recording.name}: {part.rows} healthy rows from {max(low, 0):g} s on are too few to weigh a load"
+            f"{motion.recording.name}: {part.rows} healthy rows from {max(low, 0):g} s on are too few to weigh a load"
         )
     return part
 
@@ -271,15 +225,15 @@ def expect_different(recordings: Sequence[Recording]) -> None:
 
 
 def each_window(
-    bundle: _core.Bundle, frame: NamedFrame, parts: Sequence[Seen], whole: LoadEstimate
-) -> list[tuple[str, float, LoadEstimate]]:
+    bundle: _core.Bundle, frame: NamedFrame, parts: Sequence[WeighedMotion], whole: LoadFound
+) -> list[tuple[str, float, LoadFound]]:
     """Estimate the load in each whole window: recording, begin, and load."""
     windows = []
     for part in parts:
         start = part.time_s[0]
         while start + WINDOW_S <= part.time_s[-1] + 0.05:
             rows = part.part((part.time_s >= start) & (part.time_s < start + WINDOW_S))
-            if rows.rows >= SUMS.LEAST_ROWS:
+            if rows.rows >= LoadFound.LEAST_ROWS:
                 own = identify(bundle, frame, [rows], whole.reach_m, whole.phi)
                 windows.append((part.recording.name, float(start), own))
             start += WINDOW_S
@@ -299,7 +253,7 @@ CORRECTED_TO = 0.03
 """Largest relative error of the torque constants at which no known weight is advised; it must be found to 3 %."""
 
 
-def load_sentences(found: LoadEstimate, where: str, unit: str) -> list[str]:
+def load_sentences(found: LoadFound, where: str, unit: str) -> list[str]:
     """Sentences on mass, centre of mass, and what the motion does not determine.
 
     Args:
@@ -316,9 +270,8 @@ def load_sentences(found: LoadEstimate, where: str, unit: str) -> list[str]:
     if found.verdict == "too little":
         return [f"{found.seconds:.2f} s of healthy motion are too little to weigh a load"]
     if found.verdict == "nothing":
-        return [
-            f"no load is visible: {mass}; one of less than {SUMS.MASS_SHOWS * found.mass_error_kg:.2g} {kg} would not"
-        ]
+        hidden_kg = LoadFound.MASS_SHOWS * found.mass_error_kg
+        return [f"no load is visible: {mass}; one of less than {hidden_kg:.2g} {kg} would not"]
     if found.verdict == "lifts":
         lift = -found.fits["load"].values[0]
         return [f"the estimated force pulls up, as {lift:.2f} {kg} less would: no load, or one present in training"]
@@ -333,7 +286,7 @@ def load_sentences(found: LoadEstimate, where: str, unit: str) -> list[str]:
     return [*weighed(found, where, kg), *unseen_sentences(found)]
 
 
-def mass_error(found: LoadEstimate) -> float:
+def mass_error(found: LoadFound) -> float:
     """Standard error of the mass from motion and torque constants, [kg]."""
     return math.hypot(found.mass_error_kg, found.constants_error_kg)
 
@@ -344,7 +297,7 @@ def mass_words(mass_kg: float, error_kg: float, kg: str = "kg") -> str:
     return f"{mass_kg:.{digits}f} ± {error_kg:.{digits}f} {kg}"
 
 
-def weighed_words(found: LoadEstimate, kg: str) -> str:
+def weighed_words(found: LoadFound, kg: str) -> str:
     """A mass with both of its errors: that of the torque constants changes all weights alike."""
     if found.constants_error_kg < OF_CONSTANTS * found.mass_error_kg:
         return mass_words(found.mass_kg, mass_error(found), kg)
@@ -356,7 +309,7 @@ def weighed_words(found: LoadEstimate, kg: str) -> str:
     )
 
 
-def weighed(found: LoadEstimate, where: str, kg: str) -> list[str]:
+def weighed(found: LoadFound, where: str, kg: str) -> list[str]:
     """Sentences on mass and centre of mass, as far as the motion determines them."""
     mass = weighed_words(found, kg)
     if not found.mass_seen:
@@ -377,7 +330,7 @@ def weighed(found: LoadEstimate, where: str, kg: str) -> list[str]:
     return lines
 
 
-def unseen_sentences(found: LoadEstimate) -> list[str]:
+def unseen_sentences(found: LoadFound) -> list[str]:
     """Sentence on directions of the centre of mass across which gravity never turned."""
     lines = []
     for direction in found.unseen:
@@ -390,7 +343,7 @@ def unseen_sentences(found: LoadEstimate) -> list[str]:
     return lines
 
 
-def contact_sentence(found: LoadEstimate, unit: str) -> str:
+def contact_sentence(found: LoadFound, unit: str) -> str:
     """Sentence on a force that fits better than a load."""
     force_unit = "N" if unit == "N m" else "units of force"
     base, frame = found.fits["base"], found.fits["frame"]
@@ -413,7 +366,7 @@ def axis_name(direction: np.ndarray) -> str:
     return f"the direction ({', '.join(f'{c:.2f}' for c in turned)}) of the frame"
 
 
-def load_facts(found: LoadEstimate) -> dict:
+def load_facts(found: LoadFound) -> dict:
     """The result as plain JSON."""
     return {
         "verdict": found.verdict,

@@ -15,13 +15,15 @@ from scipy.optimize import least_squares
 
 from tauext._core import Capsule, Tree
 from tauext.errors import RobotError
-from tauext.files.places import SHAPES_FILE
 from tauext.files.plain_file import FORMAT
 from tauext.files.provenance import write_json
 from tauext.robot.mesh_files import MeshFinder, MeshFolders, MissingMeshError
 from tauext.robot.read import compiled, placed_bodies
 from tauext.robot.write import PAYLOAD
 from tauext.robot.xml_file import XmlFile, read_xml
+
+SHAPES_FILE = "robot.shapes.json"
+"""Beside the robot file of a dataset: shapes of its links."""
 
 # --- Shapes of parts of links: capsules, or surface points to fit capsules to.
 

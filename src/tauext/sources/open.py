@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from tauext import plugins
 from tauext.errors import ConfigError
-from tauext.files.places import Place, place_of
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
@@ -55,7 +54,7 @@ class SourceKind:
 SPEED = Option("speed", float | None, "factor on the recorded speed of a replay, at least 1. None: 1.")
 TORQUE_CONSTANTS = Option(
     "torque_constants",
-    Place | None,
+    Path | None,
     "with --source ur, a file with the torque constant of each joint, Nm per ampere of motor current.",
 )
 
@@ -67,10 +66,10 @@ def open_replay(target: str, bundle: Bundle | None, speed: float = 1.0) -> Sourc
         raise ConfigError(
             f"speed = {speed:g} must be >= 1: at a lower speed a live loop counts late samples as missing"
         )
-    return ReplaySource(place_of(target), speed)
+    return ReplaySource(Path(target), speed)
 
 
-def open_ur(target: str, bundle: Bundle | None, torque_constants: Place | None = None) -> Source:
+def open_ur(target: str, bundle: Bundle | None, torque_constants: Path | None = None) -> Source:
     from tauext.sources.ur import UrSource
 
     return UrSource(target, torque_constants)

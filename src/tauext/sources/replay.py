@@ -9,7 +9,6 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.data.servo import RAW_SIGNALS, from_amperes, in_amperes, servo_of
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.monitor.replay import Pace
 from tauext.monitor.source import Sample, Signal, SourceCounts, SourceFacts, SourceSettings
 
@@ -17,7 +16,7 @@ from tauext.monitor.source import Sample, Signal, SourceCounts, SourceFacts, Sou
 class ReplaySource:
     """Delivers a recording's samples at their times. A late loop finds them waiting; none is lost."""
 
-    def __init__(self, recording: Recording | Place | str, speed: float | None = 1.0):
+    def __init__(self, recording: Recording | Path | str, speed: float | None = 1.0):
         """speed: factor on the recorded speed; None: as fast as the loop takes the samples.
 
         Raises:

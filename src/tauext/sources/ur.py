@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.toml_file import number, read_table, read_toml, tables
 from tauext.monitor.source import Sample, SourceFacts, SourceSettings
 from tauext.plugins import optional_library
@@ -26,7 +25,7 @@ from tauext.sources.ur_dashboard import PORT, Dashboard, DashboardError
 CONSTANT = number(-1e6, 1e6).where(lambda constant: constant != 0, "a number from -1e+06 to 1e+06, not 0")
 
 
-def load_torque_constants(path: Place, joints: Sequence[str]) -> np.ndarray:
+def load_torque_constants(path: Path, joints: Sequence[str]) -> np.ndarray:
     """Joint torque a unit of current, after the gear, (joints,) [N m/A], from a TOML file of one table:
 
         [nm_per_ampere]
@@ -86,7 +85,7 @@ class UrSource(ReaderSource):
     robot_joints = 6
     dashboard_port = PORT
 
-    def __init__(self, host: str, torque_constants: Place | None = None):
+    def __init__(self, host: str, torque_constants: Path | None = None):
         """torque_constants: file (torque_constants_file.py); None where the bundle takes amperes."""
         super().__init__(f"ur {host}")
         self._host, self._file = host, torque_constants

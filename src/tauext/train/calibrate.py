@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from tauext import _core
@@ -18,7 +19,6 @@ from tauext.config import AlarmConfig, checked
 from tauext.data.dataset import Dataset
 from tauext.data.free_motion import LeftOut
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import provenance
 from tauext.progress import SILENT, Reporter, WallTimes
@@ -31,9 +31,9 @@ from tauext.train.promised_limits import counted, fitting, left_out_facts, no_fr
 
 @checked
 def recalibrate(
-    bundle: Place,
+    bundle: Path,
     dataset: Dataset,
-    out: Place,
+    out: Path,
     alarm: AlarmConfig,
     threads: int = 0,
     report: Reporter = SILENT,
@@ -99,7 +99,7 @@ def put_injected_spread(bundle: _core.Bundle, loaders: Loaders, threads: int, re
     return spread.facts()
 
 
-def opened(bundle: Place, dataset: Dataset, out: Place) -> tuple[Loaders, _core.Bundle, Sequence[Any], dict]:
+def opened(bundle: Path, dataset: Dataset, out: Path) -> tuple[Loaders, _core.Bundle, Sequence[Any], dict]:
     """Calibration recordings, the bundle, its loss history and provenance, before anything is done."""
     loaders: Loaders = dataset.stretches("calibration")
     if not loaders:
@@ -110,9 +110,9 @@ def opened(bundle: Place, dataset: Dataset, out: Place) -> tuple[Loaders, _core.
 
 
 def calibrate_contacts(
-    bundle: Place,
+    bundle: Path,
     dataset: Dataset,
-    out: Place,
+    out: Path,
     contacts: Callable[[int], Contacts],
     threads: int = 0,
     report: Reporter = SILENT,
@@ -147,7 +147,7 @@ def calibrate_contacts(
 
 def write_calibrated(
     bundle: _core.Bundle,
-    out: Place,
+    out: Path,
     facts: dict,
     started: float,
     history: Sequence[Any] = (),

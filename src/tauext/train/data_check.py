@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tauext.check.before_training import CheckResult, check_calibration, check_training, expect_codes, refuse_faults
+from tauext.check.before_training import check_calibration, check_training, expect_codes, refuse_faults
+from tauext.check.finding import Finding
 from tauext.config import TrainConfig
 from tauext.data.dataset import Dataset
 from tauext.data.servo import in_amperes
@@ -31,7 +32,7 @@ def check_data(dataset: Dataset, given: Given, config: TrainConfig, accept: Sequ
     return refuse_faults(results, str(dataset.folder), accept, report)
 
 
-def check_results(dataset: Dataset, given: Given, config: TrainConfig, report: Reporter) -> dict[str, CheckResult]:
+def check_results(dataset: Dataset, given: Given, config: TrainConfig, report: Reporter) -> dict[str, list[Finding]]:
     """Findings in the recordings for training and for limits.
 
     Without a model nothing is compared with the robot file: the training does not use it.

@@ -1,4 +1,4 @@
-"""Observer and fits of a recipe, from nothing or from a fleet prior."""
+"""Observer and fits of a recipe."""
 
 from __future__ import annotations
 
@@ -8,18 +8,15 @@ from pkgutil import resolve_name
 from typing import Protocol
 
 from tauext._core import Bundle
-from tauext.config import PriorConfig, TrainConfig
+from tauext.config import PriorConfig
 from tauext.data.recording import Recording
-from tauext.errors import ConfigError
 from tauext.fit.bundle_writing import build_setup, rate_tolerance, set_drift
-from tauext.fit.coverage import coverage_facts, fit_coverage, seen_too
+from tauext.fit.coverage import coverage_facts, fit_coverage
 from tauext.fit.find_kinematics import Kinematics
-from tauext.fit.fleet_prior import ArmType, FleetPrior, fit_like, links_digest
 from tauext.fit.prior_facts import held_sentence, prior_facts
 from tauext.fit.prior_terms import PriorFit, region_width
 from tauext.fit.torque_constants import with_constants
 from tauext.fit.training_set import Setup, with_presliding
-from tauext.recipes import FULL_PRIOR
 from tauext.train.preparation import Job
 
 # --- The observer, and a recipe's prior, fitted to r by the function in the recipe's row.
@@ -68,7 +65,7 @@ def observe(job: Job, gain_per_s: float | None = None) -> Setup:
 
 
 def fit_prior(job: Job, setup: Setup, recordings: Sequence[Recording]) -> PriorFit | None:
-    """Fit the recipe's prior to this motion; None: the recipe has none.
+    """Fit the recipe's prior to this motion, by its function or by the start; None: the recipe has none.
 
     Raises:
         TrainingError: too little motion.
@@ -76,8 +73,8 @@ def fit_prior(job: Job, setup: Setup, recordings: Sequence[Recording]) -> PriorF
     recipe, config = job.config.row, job.config.prior
     if recipe.fit is None:
         return None
-    if job.like is not None:
-        return fit_like(setup, recordings, config, job.like)
+    if (started := job.start.fit(setup, recordings, config)) is not None:
+        return started
     fit: Fit = resolve_name(recipe.fit)
     bent = with_presliding(setup, config.widths_rad) if recipe.presliding else setup
     known = job.constants.kinematics if job.constants else None
@@ -108,9 +105,7 @@ def put_coverage(job: Job, bundle: Bundle, setup: Setup) -> None:
     """Add the coverage of training motion and its facts, if the recipe has it."""
     if not job.config.row.coverage:
         return
-    fit = fit_coverage(setup, job.motion.uncut)
-    if job.like is not None and job.like.coverage is not None:
-        fit = seen_too(fit, job.like.coverage, setup, job.motion.uncut)
+    fit = job.start.covered(fit_coverage(setup, job.motion.uncut), setup, job.motion.uncut)
     bundle.coverage = fit.settings
     job.facts["coverage"] = coverage_facts(fit, job.joints)
 
@@ -119,61 +114,3 @@ def put_region(job: Job, bundle: Bundle, fit: PriorFit) -> None:
     """Set the presliding width that decides which region's limits apply."""
     if fit.settings.widths_rad:
         bundle.region_width = region_width(fit.settings.widths_rad, job.config.prior)
-
-
-# --- Training from a fleet prior of the same arm type.
-
-
-def like_settings(config: TrainConfig, like: FleetPrior | None) -> TrainConfig:
-    """Return the settings with the fleet's observer gain, unless they have a number.
-
-    Raises:
-        ConfigError: the recipe has no prior that a fleet prior could replace.
-    """
-    if like is None:
-        return config
-    if config.row.fit != FULL_PRIOR["fit"]:
-        raise ConfigError(f"like: recipe = {config.recipe} must be tauext or prior, whose weights a fleet prior has")
-    if isinstance(config.observer.gain_per_s, int | float):
-        return config
-    return replace(config, observer=replace(config.observer, gain_per_s=like.gain_per_s))
-
-
-def arm_type(job: Job, setup: Setup) -> ArmType:
-    """Properties that a fleet's arms must share with this one."""
-    training = job.training[0]
-    return ArmType(
-        joints=job.joints,
-        case=job.case.name,
-        rate_hz=round(float(training.rate_hz), 3),
-        network_stride=setup.observer.network_stride,
-        torque_timing=training.torque_timing,
-        units=units_of(job),
-        links=links_digest(job.tree),
-    )
-
-
-def units_of(job: Job) -> tuple[str, ...]:
-    """Unit of each joint's torque in the prior: newton metres, or this arm's own unit."""
-    if job.constants is None:
-        return (job.units.given.name,) * len(job.joints)
-    unknown = job.units.unknown or [0] * len(job.joints)
-    relative = job.units.relative_to >= 0
-    return tuple("its own unit" if one or relative else "newton_metre" for one in unknown)
-
-
-def expect_like(job: Job, setup: Setup) -> None:
-    """Raise ConfigError if the fleet's arms are of another type."""
-    if job.like is not None:
-        job.like.type.expect(arm_type(job, setup), "the fleet prior", job.name)
-
-
-def like_facts(like: FleetPrior) -> dict:
-    """Facts that identify the fleet prior by content, for provenance."""
-    errors = like.errors
-    return {
-        "sha256": like.sha256,
-        "arms": [one["name"] for one in like.facts.get("arms", [])],
-        "trust": like.weights.trust,
-        **({} if errors is None else {"judged_hours": errors.hours, "judged_minutes": errors.minutes}),
-    }

@@ -1,150 +1,45 @@
-"""Limits of a training: by a promise, from minutes of data, from a fleet, or as in the paper."""
+"""Limits of a training: by a promise, from minutes of data, or as in the paper."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 
-from tauext import _core
 from tauext._core import Bundle
 from tauext.check.before_training import expect_accepted
 from tauext.check.finding import Finding, Severity
 from tauext.check.sensors import torque_step_nm
-from tauext.config import DriftConfig, TrainConfig
-from tauext.data.free_motion import total_s
+from tauext.config import TrainConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.files.kind import is_simulated
-from tauext.files.places import Place
 from tauext.fit.bundle_writing import freeze_drift, make_bundle
-from tauext.fit.fleet_prior import FleetErrors
-from tauext.fit.network_weights import LIMIT, NetworkWeights
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.tail import duration, promised_per_hour
 from tauext.fit.training_set import Setup
 from tauext.train.error_scale import (
-    FEATURES,
-    ErrorRows,
     Judged,
-    blind_sigma,
     collect_rows,
     fit_error_scale,
-    freeze_floor_nm,
     put_constant_error,
     with_outputs,
 )
-from tauext.train.paper_limits import LimitMotion, ignore_standing, put_paper, set_limits
+from tauext.train.paper_limits import LimitMotion, ignore_standing, put_paper
 from tauext.train.preparation import Job
 from tauext.train.promised_limits import put_promised
 from tauext.train.supported_limits import SupportedConfig, put_supported
 from tauext.train.wrench import fit_wrench
 
-# --- Limits of an arm with a minute of its own motion, from the errors of a fleet's arms.
-#
-# Each arm of the fleet was fitted to a minute of its own with the prior of the others and evaluated on the rest of its
-# motion. Errors, limits and their growth with the motion apply to another arm of the type up to a factor, its size: a
-# joint's held-out errors on its own minute, divided by the prediction of the fleet's scale.
-
-
-ENOUGH_S = 540.0
-"""Time of motion from which an arm's own errors determine limits better than the fleet's, [s]. From this time on, short
-recordings need no friction reserve either."""
-LEAST_SIZE, LARGEST_SIZE = 0.5, 2.0
-"""Bounds of an arm's errors relative to the fleet's: a minute cannot prove smaller ones; larger ones are reported."""
-
-
-def fleet_errors(job: Job, bundle: Bundle) -> FleetErrors | None:
-    """The fleet's errors for this arm; None: none, or the arm's own errors determine more."""
-    like = job.like
-    if like is None or like.errors is None or bundle.has_network:
-        return None
-    same = like.gain_per_s == bundle.observer.gain_per_s
-    return like.errors if same and total_s(job.motion.uncut) < ENOUGH_S else None
-
-
-def sizes(rows: ErrorRows, scale: _core.ErrorScaleSettings) -> np.ndarray:
-    """Ratio of each joint's errors to the scale's prediction for the same motion, (n,)."""
-    used = [FEATURES.index(kind) for kind in scale.features]
-    F, n = rows.features[:, :, used], rows.error_nm.shape[1]
-    sliding, near = (
-        np.einsum("rjf,jf->rj", F, np.array(w).reshape(n, -1)) for w in (scale.sigma_weights, scale.sigma_near_weights)
-    )
-    sigma = np.where(rows.near_stiction, near, sliding)
-    return np.sqrt(np.mean(rows.error_nm**2, axis=0) / np.maximum(np.mean(sigma**2, axis=0), 1e-300))
-
-
-def scale_settings(errors: FleetErrors, size: np.ndarray) -> _core.ErrorScaleSettings:
-    """The fleet's error scale for an arm with this size of errors relative to the fleet's, (n,)."""
-    scale = _core.ErrorScaleSettings()
-    scale.features = [getattr(_core.MotionFeature, name) for name in errors.features]
-    by_joint = size[:, None]
-    scale.limit_weights = (by_joint * errors.limit_weights).ravel().tolist()
-    scale.sigma_weights = (by_joint * errors.sigma_weights).ravel().tolist()
-    scale.sigma_near_weights = (by_joint * errors.sigma_near_weights).ravel().tolist()
-    scale.largest = (size * errors.largest).tolist()
-    scale.largest_sigma = (size * errors.largest_sigma).tolist()
-    return scale
-
-
-def put_fleet_scale(job: Job, bundle: Bundle, rows: ErrorRows, errors: FleetErrors, drift: DriftConfig) -> None:
-    """Set the fleet's error scale, adjusted to the size of this arm's errors."""
-    found = sizes(rows, scale_settings(errors, np.ones(bundle.joints)))
-    size = np.clip(found, LEAST_SIZE, None)
-    bundle.error_scale = scale_settings(errors, size)
-    blind_sigma(bundle)
-    if bundle.drift.time_constant_s > 0:
-        seen = freeze_floor_nm(rows.error_nm, drift, rows.period_s)
-        bundle.drift.freeze_floor_nm = np.maximum(
-            drift.freeze_floor_share * np.array(bundle.drift.size_nm), seen
-        ).tolist()
-    by_joint = dict(zip(job.joints, found.round(4).tolist(), strict=True))
-    job.facts["error_scale"] = {"hours": rows.hours, "like": by_joint}
-    loud = [f"{name} {value:.1f}" for name, value in by_joint.items() if value > LARGEST_SIZE]
-    if loud:
-        job.notes.append(
-            f"errors are larger than the fleet's by {', '.join(loud)}: this arm differs from the others there, and its "
-            "limits are raised as much"
-        )
-
-
-def put_fleet(bundle: Bundle, motion: LimitMotion) -> dict:
-    """The fleet's limits."""
-    errors, alarm = motion.fleet, motion.alarm
-    assert errors is not None
-    limits = np.array([errors.sliding_limit_nm, errors.near_stiction_limit_nm])
-    contact = np.array([errors.contact_sliding_limit_nm, errors.contact_near_stiction_limit_nm])
-    set_limits(bundle, limits, alarm, contact, (errors.hold_s, errors.contact_hold_s))
-    words = (
-        f"limits are those of {errors.arms} arms of this type that had {errors.minutes:g} min of their own and the "
-        f"prior of the others, on {60 * errors.hours:.0f} min of the rest of their motion, and as large as this arm's "
-        f"own errors beside theirs. {errors.facts['sentence']} They are {errors.facts['arms_factor']:.2f} times that, "
-        "so that none of these arms was over limits that the others ask for."
-    )
-    motion.note(words)
-    return dict(errors.facts) | {"sentence": words, "like": True}
-
-
 # --- Kinds of limits, and those of a training.
-
-
-def put_given(bundle: Bundle, motion: LimitMotion) -> dict:
-    """The limits of a network that was trained elsewhere."""
-    network = motion.network
-    assert network is not None and network.limit_nm is not None
-    set_limits(bundle, np.tile(network.limit_nm, (2, 1)), motion.alarm)
-    words = f"limits are {LIMIT} of {network.file}, and promise nothing"
-    motion.note(words)
-    return {"sentence": words}
 
 
 LIMITS: dict[str, Callable[[Bundle, LimitMotion], dict]] = {
     "promised": put_promised,
     "supported": put_supported,
     "paper": put_paper,
-    "fleet": put_fleet,
-    "given": put_given,
 }
 """For each kind, a function that sets a bundle's limits and returns facts of them, none for the paper's."""
 
@@ -156,7 +51,7 @@ def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> 
         ConfigError: promised limits without calibration recordings.
         TrainingError: too little free motion.
     """
-    config, kind = job.config, limits_kind(job.config, job.calibration, job.network)
+    config, kind = job.config, limits_kind(job.config, job.calibration)
     follows = config.resolved().error_scale == "on"
     if follows and kind == "supported" and bundle.region_width >= 0:
         bundle.near_memory_s = SupportedConfig.near_memory / bundle.observer.gain_per_s
@@ -178,13 +73,15 @@ def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> 
         unseen=unseen,
         left_out=left_out,
         fit=fit,
-        fleet=fleet_errors(job, bundle) if follows else None,
-        network=job.network,
     )
     motion = put_error_scale(job, bundle, motion, follows)
-    facts = LIMITS["fleet" if kind == "supported" and motion.fleet is not None else kind](bundle, motion)
-    if kind == "promised":
-        job.notes.append(facts["sentence"])
+    if (started := job.start.put_limits(job, bundle, kind)) is not None:
+        words, facts = started
+        job.notes.append(words)
+    else:
+        facts = LIMITS[kind](bundle, motion)
+        if kind == "promised":
+            job.notes.append(facts["sentence"])
     if fit is not None:
         freeze_drift(bundle, config.drift)
     if facts:  # those of the paper's recipes are as they are
@@ -200,13 +97,11 @@ def put_error_scale(job: Job, bundle: Bundle, motion: LimitMotion, follows: bool
     """
     judged = motion.judged if follows else motion.unseen or motion.judged
     rows = collect_rows(bundle, judged, job.threads, job.config.margins)
-    if motion.fleet is not None:
-        put_fleet_scale(job, bundle, rows, motion.fleet, job.config.drift)
-    elif follows:
-        job.facts["error_scale"] = fit_error_scale(bundle, rows, job.config.drift)
-    else:
+    if not follows:
         put_constant_error(bundle, rows)
-    if follows:
+    else:
+        started = job.start.put_scale(job, bundle, rows)
+        job.facts["error_scale"] = fit_error_scale(bundle, rows, job.config.drift) if started is None else started
         for one in motion.left_out:
             assert one.bundle is not None
             one.bundle.error_scale = bundle.error_scale
@@ -214,13 +109,8 @@ def put_error_scale(job: Job, bundle: Bundle, motion: LimitMotion, follows: bool
     return replace(motion, rows=rows, poses=job.facts["wrench"].get("poses", []))
 
 
-def limits_kind(
-    config: TrainConfig,
-    calibration: Sequence[object],
-    network: NetworkWeights | None = None,
-    folder: Place | None = None,
-) -> str:
-    """Return the kind of limits: promised, supported, paper, or given with a network that was trained elsewhere.
+def limits_kind(config: TrainConfig, calibration: Sequence[object], folder: Path | None = None) -> str:
+    """Return the kind of limits: promised, supported or paper.
 
     Args:
         folder: of the dataset, for the message; None: its recordings are in memory.
@@ -232,14 +122,12 @@ def limits_kind(
         raise ConfigError(f"limits = promised {no_calibration(folder)}")
     if config.limits != "auto":
         return config.limits
-    if network is not None and network.limit_nm is not None:
-        return "given"
     if config.row.largest_error_limits:
         return "paper"
     return "promised" if calibration else "supported"
 
 
-def no_calibration(folder: Place | None) -> str:
+def no_calibration(folder: Path | None) -> str:
     """End of a message: a dataset without calibration recordings, and how to get some.
 
     Args:

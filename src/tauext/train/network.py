@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tauext._core import Bundle, Tree
-from tauext.config import PAPER_GAIN_PER_S, TrainConfig, require
-from tauext.files.copies import at_home
+from tauext.config import PAPER_GAIN_PER_S
 from tauext.fit.bundle_writing import make_bundle, set_signal_ranges
-from tauext.fit.network_training import Progress, TrainedNetwork, train_network
-from tauext.fit.network_weights import NetworkWeights
+from tauext.fit.network_training import Progress, ScaledNetwork, train_network
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.ties import simplest
-from tauext.fit.training_set import Scaling, Setup, TooShort, build_windows, find_scaling
+from tauext.fit.training_set import Setup, TooShort, build_windows, find_scaling
 from tauext.train.error_scale import collect_rows, largest_standardised
 from tauext.train.fitting import observe, put_region, with_fit
 from tauext.train.limits import unseen_motion
-from tauext.train.preparation import TRAINING_ONLY, Job
+from tauext.train.preparation import Job
 
 # --- The network on the residual of observer and prior, and its bundle.
 
@@ -29,24 +26,15 @@ CHECKPOINT = ".checkpoint.npz"
 """Ending of a network's checkpoint, beside the bundle until that is written."""
 
 
-@dataclass(frozen=True)
-class ScaledNetwork:
-    """A trained network with the scales of its inputs and outputs."""
-
-    scaling: Scaling
-    trained: TrainedNetwork
-
-
 def fit_network(job: Job, setup: Setup) -> ScaledNetwork | None:
-    """Train the recipe's network, or return the given one; None: the recipe has none, or the motion is too short and
-    there is a prior.
+    """Train the recipe's network, or return that of the start; None: the recipe has none, or the motion is too short
+    and there is a prior.
 
     Raises:
         TrainingError: too little data, or a loss that diverges.
     """
-    if job.network is not None:
-        given = job.network
-        return ScaledNetwork(given.scaling, TrainedNetwork(given.shape, given.parameters, [], steps=0, seconds=0.0))
+    if (started := job.start.network()) is not None:
+        return started
     if not job.motion.network:
         return None
     with job.times.phase("windows"):
@@ -65,7 +53,7 @@ def fit_network(job: Job, setup: Setup) -> ScaledNetwork | None:
                 training,
                 validation,
                 job.config,
-                checkpoint_path=at_home(job.out).with_suffix(CHECKPOINT),
+                checkpoint_path=job.out.with_suffix(CHECKPOINT),
                 settings={key: job.run[key] for key in ("settings", "recordings")} | {"robot": model_digest(job.tree)},
                 report=report,
             )
@@ -76,27 +64,6 @@ def fit_network(job: Job, setup: Setup) -> ScaledNetwork | None:
             return None
     job.times.seconds["train"] = trained.seconds
     return ScaledNetwork(scaling, trained)
-
-
-def network_settings(config: TrainConfig, network: NetworkWeights | None) -> TrainConfig:
-    """Return the settings with the hidden units of a network that was trained elsewhere, if one is given.
-
-    Raises:
-        ConfigError: another recipe than paper, or a setting that has no effect without a training.
-    """
-    if network is None:
-        return config
-    require(config.recipe == "paper", "recipe", config.recipe, "paper with a given network, which has its structure")
-    default, hidden = TrainConfig(), network.shape.hidden
-    for name in TRAINING_ONLY:
-        value = getattr(config, name)
-        require(value == getattr(default, name), name, value, "left out with a given network: nothing is trained")
-    own = config.hidden in (default.hidden, hidden)
-    require(own, "hidden", config.hidden, f"left out with a given network, which has {hidden}")
-    constant = config.limits == "auto" and network.limit_nm is not None
-    off = not constant or config.error_scale != "on"
-    require(off, "error_scale", config.error_scale, "left out with limit_nm of a given network, which is constant")
-    return replace(config, hidden=hidden)
 
 
 def assemble(job: Job, setup: Setup, network: ScaledNetwork | None = None) -> Bundle:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -12,9 +13,6 @@ from tauext.config import AlarmConfig, FreeMotionConfig
 from tauext.data.free_motion import standing_joints
 from tauext.data.recording import Recording
 from tauext.errors import TrainingError
-from tauext.files.places import Place
-from tauext.fit.fleet_prior import FleetErrors
-from tauext.fit.network_weights import NetworkWeights
 from tauext.fit.prior_terms import PriorFit
 from tauext.progress import SILENT, Reporter
 from tauext.train.error_scale import ErrorRows, Judged, whole_recordings
@@ -84,7 +82,7 @@ class LimitMotion:
     """Loaders of recordings that are used for limits alone."""
     peaks: Sequence[Peaks] | None = None
     """Peaks of such recordings without suspects for each of alarm.holds_s, if they are known."""
-    out: Place | None = None
+    out: Path | None = None
     """The bundle to write, beside which a checkpoint keeps the peaks."""
     suspects: int = 0
     """Number of suspected touches that were left out of the motion."""
@@ -97,8 +95,6 @@ class LimitMotion:
     rows: ErrorRows | None = None
     """Errors from which the bundle's error scale follows."""
     fit: PriorFit | None = None
-    fleet: FleetErrors | None = None
-    network: NetworkWeights | None = None
 
     @property
     def judged(self) -> list[Judged]:

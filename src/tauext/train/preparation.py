@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tauext._core import TorqueUnit, TorqueUnits, Tree
-from tauext.config import FreeMotionConfig, ModelCase, TrainConfig
+from tauext._core import Bundle, TorqueUnit, TorqueUnits, Tree
+from tauext.config import FreeMotionConfig, ModelCase, PriorConfig, TrainConfig
 from tauext.data.free_motion import (
     LeftOut,
     SignalBounds,
@@ -28,12 +28,12 @@ from tauext.data.labels import Label
 from tauext.data.recording import Recording
 from tauext.data.servo import from_amperes, in_amperes
 from tauext.errors import ConfigError, TrainingError
-from tauext.files.places import Place
 from tauext.files.plain_file import json_of, read_text
 from tauext.files.provenance import provenance
 from tauext.fit.bundle_writing import build_setup, reference_recording
-from tauext.fit.fleet_prior import FleetPrior
-from tauext.fit.network_weights import NetworkWeights
+from tauext.fit.coverage import CoverageFit
+from tauext.fit.network_training import ScaledNetwork
+from tauext.fit.prior_terms import PriorFit
 from tauext.fit.torque_constants import TorqueConstants, fit_torque_constants, with_constants
 from tauext.fit.training_set import Setup, signal_bounds
 from tauext.progress import Reporter, WallTimes
@@ -41,6 +41,7 @@ from tauext.recipes import Recipe
 from tauext.robot.mesh_files import MeshFolders
 from tauext.robot.model_case import estimated_model
 from tauext.robot.torque_limits import torque_limits
+from tauext.train.error_scale import ErrorRows
 from tauext.train.suspects import Suspect
 
 # --- Settings that determine a trained bundle besides the data.
@@ -54,7 +55,7 @@ def training_settings(case: ModelCase, config: TrainConfig, trains: bool = True)
     """Settings that determine a trained bundle besides the data; without the number of threads.
 
     Args:
-        trains: whether the network is trained; False: its weights are given, and TRAINING_ONLY have no effect.
+        trains: whether a network may be trained; False: TRAINING_ONLY have no effect.
     """
     plain = asdict(config.resolved())
     if config.backend == "core":
@@ -189,9 +190,12 @@ class TrainingMotion:
 
 
 def training_motion(
-    training: Sequence[Recording], validation: Sequence[Recording], config: TrainConfig
+    training: Sequence[Recording], validation: Sequence[Recording], config: TrainConfig, learns: bool = True
 ) -> TrainingMotion:
     """Leave out contacts, and cut validation off by time where the dataset has none.
+
+    Args:
+        learns: see Start.
 
     Raises:
         ConfigError: no training recording.
@@ -199,7 +203,7 @@ def training_motion(
     """
     expect_some(training)
     stand = standing_joints(training)
-    if not config.row.learns:
+    if not (learns and config.row.learns):
         return as_they_are(training, validation, left_out_sentences([*training, *validation], config))
     if stand.all():
         raise TrainingError(
@@ -245,7 +249,7 @@ def expect_some(training: Sequence[Recording]) -> None:
 
 
 def as_they_are(training: Sequence[Recording], validation: Sequence[Recording], notes: list[str]) -> TrainingMotion:
-    """Recordings of a recipe without training, used for limits only."""
+    """Recordings of a training that learns nothing from them, used for limits only."""
     if not validation:
         notes.append("the dataset has no validation recordings: limits are found on the training recordings")
     judged = list(validation or training)
@@ -404,6 +408,54 @@ def in_newton_metres(
 # --- Input and state of a training.
 
 
+class Start:
+    """What a training begins with besides recordings and robot file; this one: nothing.
+
+    Packages derive starts from it, which they read from files: `tauext train --like`, `--network`.
+    """
+
+    learns = True
+    """Whether the training learns from the motion, if its recipe does; False: limits alone follow from it."""
+
+    def settings(self, config: TrainConfig) -> TrainConfig:
+        """The settings of a training from here, before any recording is read.
+
+        Raises:
+            ConfigError: one of them contradicts the start.
+        """
+        return config
+
+    def begin(self, job: Job, setup: Setup) -> None:
+        """Add facts for provenance.
+
+        Raises:
+            ConfigError: the start is of another arm.
+        """
+
+    def fit(self, setup: Setup, recordings: Sequence[Recording], config: PriorConfig) -> PriorFit | None:
+        """Fit a prior to free motion; None: the recipe's function fits it."""
+        return None
+
+    def network(self) -> ScaledNetwork | None:
+        """The network; None: the recipe trains its own, if it has one."""
+        return None
+
+    def covered(self, fit: CoverageFit, setup: Setup, recordings: Sequence[Recording]) -> CoverageFit:
+        """Familiar motion: that of these recordings, and what the start adds."""
+        return fit
+
+    def put_scale(self, job: Job, bundle: Bundle, rows: ErrorRows) -> dict | None:
+        """Set the error scale for errors like these; returns its facts. None: it is fitted to them."""
+        return None
+
+    def put_limits(self, job: Job, bundle: Bundle, kind: str) -> tuple[str, dict] | None:
+        """Set limits in place of those of this kind; returns their basis as text, and facts. None: it sets none."""
+        return None
+
+
+NOTHING = Start()
+
+
 @dataclass(frozen=True)
 class Given:
     """Input of a training: the arm's recordings and its estimated model."""
@@ -420,17 +472,12 @@ class Given:
     """Loaders of the calibration recordings, from which promised limits follow."""
     model: Tree | None = None
     """Estimated model; None: the robot file's, changed according to the case."""
-    network: NetworkWeights | None = None
-    """Network that was trained elsewhere; None: the recipe trains its own, if it has one."""
+    start: Start = NOTHING
     meshes: MeshFolders = MeshFolders()
     """Folders of the robot file's meshes, which are searched first."""
     labels: Sequence[Label] = ()
     """Labels beside the recordings, already part of their `contact`: intervals answered with `nothing` are no
     suspects."""
-
-    def __post_init__(self) -> None:
-        if self.network is not None and self.training:
-            self.network.expect_joints(self.training[0].joints)
 
     @cached_property
     def tree(self) -> Tree:
@@ -451,7 +498,7 @@ class Job:
     tree: Tree
     case: ModelCase
     config: TrainConfig
-    out: Place
+    out: Path
     possible: PossibleMotion
     calibration: list[Callable[[], Recording]]
     """Loaders of recordings, contacts included."""
@@ -461,10 +508,7 @@ class Job:
     """Provenance: settings, versions, seed and the recordings' names."""
     facts: dict = field(default_factory=dict)
     """Facts for provenance; each step adds its own."""
-    like: FleetPrior | None = None
-    """Fleet prior of this arm type; None: the arm is trained alone."""
-    network: NetworkWeights | None = None
-    """Network that was trained elsewhere; None: the recipe trains its own, if it has one."""
+    start: Start = NOTHING
     times: WallTimes = field(default_factory=WallTimes)
     """Wall times of the training's phases."""
     suspects: Sequence[Suspect] = ()
@@ -520,7 +564,7 @@ class Job:
         self.report.say(f"{self.name}: {sentence}")
 
 
-def prepare(given: Given, config: TrainConfig, out: Place, report: Reporter, like: FleetPrior | None = None) -> Job:
+def prepare(given: Given, config: TrainConfig, out: Path, report: Reporter) -> Job:
     """Cut to the chosen minutes, leave out impossible samples and contacts, and find torque constants.
 
     See train_on_recordings for the arguments.
@@ -536,18 +580,14 @@ def prepare(given: Given, config: TrainConfig, out: Place, report: Reporter, lik
     expect_some(training)
     limits_nm = torque_limits(given.robot, training[0].joints)
     possible = possible_motion(given.tree, given.case, training, validation, limits_nm, config)
-    if given.network is None:
-        motion = training_motion(possible.training, possible.validation, config)
-    else:
-        notes = left_out_sentences([*possible.training, *possible.validation], config)
-        motion = as_they_are(possible.training, possible.validation, notes)
+    learns = given.start.learns
+    motion = training_motion(possible.training, possible.validation, config, learns)
     out.parent.mkdir(parents=True, exist_ok=True)
-    settings = training_settings(given.case, config, trains=given.network is None)
-    run = provenance("tauext train", settings, None if given.network else config.seed)
+    settings = training_settings(given.case, config, trains=learns)
+    run = provenance("tauext train", settings, config.seed if learns else None)
     run["recordings"] = {"train": [r.name for r in training], "validation": [r.name for r in validation]}
-    own = {} if given.network is None else {"network": given.network.facts()}
-    tree, calibration = given.tree, list(given.calibration)
-    job = Job(tree, given.case, config, out, possible, calibration, motion, report, run, own, like, given.network)
+    calibration = list(given.calibration)
+    job = Job(given.tree, given.case, config, out, possible, calibration, motion, report, run, start=given.start)
     if possible.passed.any():
         job.notes.append(passed_sentence(possible.passed, training[0].joints, limits_nm))
     if possible.left_out.found:

@@ -22,8 +22,6 @@ from tauext.data.free_motion import LeftOut, SignalBounds
 from tauext.data.labels import labels_key, read_labels
 from tauext.data.recording import Recording
 from tauext.files.checkpoint import Checkpoint
-from tauext.files.copies import at_home
-from tauext.files.places import Place, place_of
 from tauext.files.provenance import VERSION
 from tauext.fit.limits_together import ShareConfig, TailCurve, rates_together
 from tauext.fit.tail import FalseAlarmBudget, Promise, Tail, TailConfig, TooFewPeaks, duration, fit_tail, upper_rate
@@ -369,23 +367,23 @@ def checkpoint_of(bundle: _core.Bundle, motion: LimitMotion) -> Checkpoint | Non
     return Checkpoint(checkpoint_file(motion.out), hashlib.sha256(work.encode()).hexdigest())
 
 
-def folders_of(loaders: Loaders) -> list[Place]:
+def folders_of(loaders: Loaders) -> list[Path]:
     """Folders of the files that a dataset's loaders read; none for recordings in memory."""
     folders = [file_of(load).parent for load in loaders if isinstance(load, partial)]
     return list({str(one): one for one in folders}.values())
 
 
-def file_of(load: Callable[[], Recording]) -> Place:
+def file_of(load: Callable[[], Recording]) -> Path:
     """File that a dataset's loader reads."""
     assert isinstance(load, partial)
-    return place_of(load.args[0])
+    return Path(load.args[0])
 
 
-def checkpoint_file(out: Place) -> Path:
-    """Path of the checkpoint for a bundle's limits, on this machine."""
-    return at_home(out).with_suffix(".limits.half-done")
+def checkpoint_file(out: Path) -> Path:
+    """Path of the checkpoint for a bundle's limits."""
+    return out.with_suffix(".limits.half-done")
 
 
-def remove_checkpoint(out: Place) -> None:
+def remove_checkpoint(out: Path) -> None:
     """Delete the checkpoint after the bundle is written."""
     checkpoint_file(out).unlink(missing_ok=True)

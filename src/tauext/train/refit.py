@@ -8,7 +8,8 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, cast
+from pathlib import Path
+from typing import Any, Protocol, cast
 
 import numpy as np
 
@@ -24,106 +25,33 @@ from tauext.data.free_motion import LeftOut, SignalBounds, free_samples, possibl
 from tauext.data.recording import Recording, TorqueTiming
 from tauext.data.recording_file import load_recording
 from tauext.errors import ConfigError, TooLittleMotionError, TrainingError
-from tauext.files.copies import local_file
-from tauext.files.places import Place
 from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import provenance
-from tauext.fit.fleet_prior import CLOSE, FleetPrior
 from tauext.fit.tail import FalseAlarmBudget, Promise, duration, is_kept
 from tauext.progress import SILENT, Reporter, WallTimes
 from tauext.train.held_peaks import REGIONS, peak_indices
 
-# --- Refit with a fleet prior: joints that hardly moved follow those that did.
-#
-# .. math:: \log f \sim N(0, D), \qquad \log \hat f_m = \log f_m + e_m
-#
-# D is the covariance of log friction between recordings of one arm (tauext_fleet.prior_evidence); m are the joints that
-# moved. A joint that did not move is expected at the mean of log f under both. A joint whose own minute determines its
-# friction better keeps that. A joint that the others contradict is ignored: its change is wear, not temperature.
-
-
 LEAST_MOVED_S = 10.0
 """Least motion of a joint for estimating its friction."""
-LEAST_AGREEING = 2
-"""Fewest joints that moved; the change of a single one may be wear."""
 
 
-def expect_days(like: FleetPrior, bundle: _core.Bundle) -> np.ndarray:
-    """The fleet's covariance between recordings of one arm, (n, n), in the bundle's order of joints.
+class Like(Protocol):
+    """What arms of one type have in common; a package reads it from the file of `tauext refit --like`."""
 
-    Raises:
-        ConfigError: its joints differ, or none of its arms had several recordings.
-    """
-    joints = tuple(link.joint_name for link in bundle.links)
-    if like.type.joints != joints:
-        theirs, own = ", ".join(like.type.joints), ", ".join(joints)
-        raise ConfigError(f"like: joints = ({theirs}) of the fleet prior must be ({own}) as of the bundle")
-    if like.days is None:
-        raise ConfigError(
-            "like: this fleet prior has differences between arms, not between days; make it from arms "
-            "with two recordings or more each, from different times of the day"
-        )
-    return like.days.covariance
+    def expect_bundle(self, bundle: _core.Bundle) -> None:
+        """Raise ConfigError if it does not apply to this bundle."""
 
+    def expected(self, found: _core.Refit) -> tuple[_core.RefitSettings, np.ndarray] | None:
+        """Settings of a second refit, in which joints that hardly moved follow the others; which do, (n,) bool.
 
-def expectations(
-    factor: np.ndarray, error: np.ndarray, moved_s: np.ndarray, days: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Expected ratio of each joint's friction to the old one, from the other joints: mean and standard deviation, (n,)
-    each, and which joints follow it, (n,) bool; None: no joint does.
+        Args:
+            found: first refit, from the arm's motion alone.
 
-    Args:
-        factor, error: ratio and standard error of each joint from its own minute, (n,).
-        days: covariance of their logarithms from one recording to the next, (n, n).
-    """
-    telling = agreeing(np.flatnonzero(moved_s >= LEAST_MOVED_S), np.log(factor), error / factor, days)
-    if len(telling) < LEAST_AGREEING:
-        return None
-    mean, spread = np.ones(len(factor)), np.zeros(len(factor))
-    for j in range(len(factor)):
-        others = telling[telling != j]
-        log_mean, spread[j] = predicted(j, others, np.log(factor), error / factor, days)
-        mean[j] = np.exp(log_mean)
-    follows = (moved_s < LEAST_MOVED_S) & (mean * spread < error)
-    return (mean, mean * spread, follows) if follows.any() else None
+        Returns: None: no joint follows.
+        """
 
-
-def predicted(
-    joint: int, others: np.ndarray, log_factor: np.ndarray, error: np.ndarray, days: np.ndarray
-) -> tuple[float, float]:
-    """Mean and standard deviation of a joint's logarithm, predicted from the others'."""
-    gain = days[joint, others] @ np.linalg.inv(days[np.ix_(others, others)] + np.diag(error[others] ** 2))
-    left = days[joint, joint] - gain @ days[others, joint]
-    return float(gain @ log_factor[others]), float(np.sqrt(max(left, 0.0)))
-
-
-def agreeing(joints: np.ndarray, log_factor: np.ndarray, error: np.ndarray, days: np.ndarray) -> np.ndarray:
-    """Joints that agree with the others: the farthest is left out until all are CLOSE."""
-    while len(joints) >= LEAST_AGREEING:
-        far = [distance(j, joints[joints != j], log_factor, error, days) for j in joints]
-        worst = int(np.argmax(far))
-        if far[worst] <= CLOSE:
-            break
-        joints = np.delete(joints, worst) if len(joints) > LEAST_AGREEING else joints[:0]
-    return joints
-
-
-def distance(joint: int, others: np.ndarray, log_factor: np.ndarray, error: np.ndarray, days: np.ndarray) -> float:
-    """Distance between the joint's value and the others' expectation, in standard deviations."""
-    mean, spread = predicted(joint, others, log_factor, error, days)
-    return abs(float(log_factor[joint]) - mean) / float(np.hypot(spread, error[joint]))
-
-
-Numbers = Sequence[float] | np.ndarray
-
-
-def settings_with(mean: Numbers, error: Numbers, follows: Sequence[bool] | np.ndarray) -> _core.RefitSettings:
-    """Settings of a refit with expectations for the joints that follow; the others as without a fleet."""
-    settings = _core.RefitSettings()
-    pairs = zip(mean, error, follows, strict=True)
-    expected = [(float(m), float(e)) if on else (1.0, settings.common) for m, e, on in pairs]
-    settings.expected, settings.expected_error = [m for m, _ in expected], [e for _, e in expected]
-    return settings
+    def identity(self) -> dict:
+        """Facts for provenance."""
 
 
 # --- Whether the old promise still holds for each joint.
@@ -335,14 +263,14 @@ class Span:
 
 @checked
 def refit_bundle(
-    bundle: Place,
-    data: Place,
-    out: Place,
+    bundle: Path,
+    data: Path,
+    out: Path,
     span: Span = Span(),
     threads: int = 0,
     report: Reporter = SILENT,
     accept: Sequence[str] = (),
-    like: FleetPrior | None = None,
+    like: Like | None = None,
 ) -> Refitted:
     """Write a copy of a bundle with the friction of the arm in today's recordings.
 
@@ -351,7 +279,7 @@ def refit_bundle(
     Args:
         data: a recording, or a dataset folder, whose training recordings are used.
         accept: codes of findings that are accepted, CODE or CODE:joint; they are stored in the bundle.
-        like: the fleet prior of this type; None: joints that hardly moved are unchanged.
+        like: what arms of this type have in common; None: joints that hardly moved are unchanged.
 
     Raises:
         FaultyDataError: a recording has a fault that is not accepted.
@@ -366,7 +294,7 @@ def refit_bundle(
     loaded = load_bundle(bundle)
     expect_prior(loaded, bundle)
     if like is not None:
-        expect_days(like, loaded)
+        like.expect_bundle(loaded)
     files = recording_files(data)
     recordings = [load_recording(file, FOR_LIMITS) for file in files]
     for recording in recordings:
@@ -390,7 +318,7 @@ def refit_bundle(
     facts["checks"] = facts.get("checks", {}) | checked
     facts["refitted"] = provenance("tauext refit", settings, seed=None) | refitted.facts()
     if like is not None:
-        facts["refitted"]["like"] = {"sha256": like.sha256, "arms": [one["name"] for one in like.facts.get("arms", [])]}
+        facts["refitted"]["like"] = like.identity()
     if words:
         facts["refitted"]["rejected"] = asdict(rejected.summary())
     refitted.bundle.name = out.stem
@@ -404,18 +332,19 @@ def refit_recordings(
     recordings: Sequence[Recording],
     threads: int = 0,
     report: Reporter = SILENT,
-    like: FleetPrior | None = None,
+    like: Like | None = None,
 ) -> Refitted:
     """Refit a bundle in memory, without the data checks, for example on a monitor's buffer.
 
     Labelled contacts are cut out with the margins of training. Provenance stays unchanged.
 
     Raises:
-        ConfigError: the fleet prior is of another arm or lacks differences between days.
+        ConfigError: `like` does not apply to the bundle.
         TrainingError: see
         refit_bundle().
     """
-    days = None if like is None else expect_days(like, bundle)
+    if like is not None:
+        like.expect_bundle(bundle)
     left_out = LeftOut("refit")
     parts = possible_parts(recordings, bundle.observer, SignalBounds.of(bundle), left_out)
     if note := left_out.sentence():
@@ -424,9 +353,9 @@ def refit_recordings(
     follows = np.zeros(bundle.joints, dtype=bool)
     try:
         found = _core.refit(bundle, sources, threads=threads or os.cpu_count() or 1)
-        if days is not None and (expectation := expected_of(found, days)) is not None:
-            follows = expectation[2]
-            found = _core.refit(bundle, sources, settings_with(*expectation), threads=threads or os.cpu_count() or 1)
+        if like is not None and (expected := like.expected(found)) is not None:
+            settings, follows = expected
+            found = _core.refit(bundle, sources, settings, threads=threads or os.cpu_count() or 1)
     except _core.CoreError as error:
         kind = TooLittleMotionError if str(error).startswith("a refit needs ") else TrainingError
         raise kind(str(error)) from error
@@ -443,18 +372,12 @@ def refit_recordings(
     return Refitted(found.bundle, joints, touches, found.used_s, found.memory_s, words)
 
 
-def expected_of(found: _core.Refit, days: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Expected friction of the other joints from those that moved; see `expectations`."""
-    factor, error = np.array([one.coulomb for one in found.joints]).T
-    return expectations(factor, error, np.array([one.moved_s for one in found.joints]), days)
-
-
 @checked
 def refit_motion(
     bundle: _core.Bundle,
     motion: Mapping[str, np.ndarray],
     report: Reporter = SILENT,
-    like: FleetPrior | None = None,
+    like: Like | None = None,
 ) -> Refitted:
     """Make the result of a refit from `Monitor.finish_refit`.
 
@@ -486,7 +409,7 @@ def touch_of(touch: _core.RefitTouch, recordings: Sequence[Recording]) -> Touch:
     return Touch(recording.name, recording.joints[touch.joint], from_s, to_s, touch.share, touch.counted)
 
 
-def expect_prior(bundle: _core.Bundle, path: Place) -> None:
+def expect_prior(bundle: _core.Bundle, path: Path) -> None:
     """Raise TrainingError if the bundle has no prior to refit."""
     if not bundle.prior.terms:
         raise TrainingError(
@@ -495,7 +418,7 @@ def expect_prior(bundle: _core.Bundle, path: Place) -> None:
         )
 
 
-def recording_files(data: Place) -> list[Place]:
+def recording_files(data: Path) -> list[Path]:
     """Files of a recording or of a dataset's training recordings.
 
     Raises:
@@ -509,7 +432,7 @@ def recording_files(data: Place) -> list[Place]:
     return files
 
 
-def file_sha256(path: Place) -> str:
+def file_sha256(path: Path) -> str:
     """SHA-256 of a file's bytes."""
-    with local_file(path).open("rb") as file:
+    with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from pathlib import Path
 
+from tauext import plugins
 from tauext._core import Bundle
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.history_file import expect_journal
@@ -16,12 +18,9 @@ from tauext.data.labels import Label, read_labels
 from tauext.data.recording import Recording
 from tauext.data.servo import TORQUE_WORDS, made_from, makes_torque, other_sources, servo_of_recordings
 from tauext.errors import ConfigError, TauextError
-from tauext.files.places import Place, place_of
 from tauext.files.preflight import expect_memory, expect_new_file, expect_time
 from tauext.fit.bundle_writing import set_drift
-from tauext.fit.fleet_prior import FleetPrior
 from tauext.fit.network_training import apply_gate
-from tauext.fit.network_weights import NetworkWeights, load_network
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.training_set import Setup
 from tauext.progress import SILENT, Reporter, WallTimes
@@ -30,10 +29,7 @@ from tauext.robot.model_case import chosen_case
 from tauext.train.data_check import check_data
 from tauext.train.error_scale import collect_rows, scale_of
 from tauext.train.fitting import (
-    expect_like,
     fit_prior,
-    like_facts,
-    like_settings,
     observe,
     put_coverage,
     put_prior,
@@ -42,8 +38,8 @@ from tauext.train.fitting import (
 )
 from tauext.train.limits import limits_kind, put_limits, refuse_limits
 from tauext.train.load_frame import put_load
-from tauext.train.network import assemble, choose_gain, fit_network, network_settings
-from tauext.train.preparation import Given, Job, prepare
+from tauext.train.network import assemble, choose_gain, fit_network
+from tauext.train.preparation import NOTHING, Given, Job, Start, prepare
 from tauext.train.servo_signals import (
     LEAST_RECORDINGS,
     SignalLimits,
@@ -74,11 +70,7 @@ BYTES_A_SEQUENCE = 3 * 8
 
 
 def accepted_settings(
-    config: TrainConfig,
-    calibration: Sequence[object],
-    like: FleetPrior | None,
-    network: NetworkWeights | None = None,
-    folder: Place | None = None,
+    config: TrainConfig, calibration: Sequence[object], start: Start = NOTHING, folder: Path | None = None
 ) -> TrainConfig:
     """Resolve the settings of a training and refuse impossible ones before any recording is read.
 
@@ -87,13 +79,15 @@ def accepted_settings(
         folder: of the dataset, for messages; None: its recordings are in memory.
 
     Raises:
-        ConfigError: see network_settings, expect_size, limits_kind and like_settings.
+        ConfigError: see Start.settings, expect_size and limits_kind.
     """
-    config = network_settings(config, network)
-    if network is None:
+    config = start.settings(config)
+    if start.learns:
         expect_size(config)
-    limits_kind(config, calibration, network, folder)
-    return like_settings(config, like)
+        if config.row.network is not None and config.backend != "core":
+            plugins.part(config.backend)  # what is missing is named before a long training
+    limits_kind(config, calibration, folder)
+    return config
 
 
 def expect_size(config: TrainConfig) -> None:
@@ -145,15 +139,14 @@ def gate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> tuple[
 @checked
 def train_bundle(
     dataset: Dataset,
-    out: Place | str,
+    out: Path | str,
     case: CaseName | None = None,
-    robot: Place | None = None,
+    robot: Path | None = None,
     config: TrainConfig = TrainConfig(),  # noqa: B008
     report: Reporter = SILENT,
     accept: Sequence[str] = (),
     check: bool = True,
-    like: FleetPrior | None = None,
-    network: Place | str | None = None,
+    start: Start = NOTHING,
     meshes: MeshFolders = MeshFolders(),  # noqa: B008
 ) -> Bundle:
     """Train on a dataset's free motion, find limits on its validation or calibration recordings, and write one bundle.
@@ -169,9 +162,7 @@ def train_bundle(
         report: receives progress and sentences about results.
         accept: codes of findings that are accepted, CODE or CODE:joint; they are stored in the bundle.
         check: False skips the checks, for recordings known to be good.
-        like: the fleet prior of this type (tauext.fit.fleet_prior.load_fleet_prior); None: nothing.
-        network: FILE.npz of a network that was trained elsewhere, for recipe paper (see
-            tauext.fit.network_weights.load_network); None: the recipe trains its own, if it has one.
+        start: what the training begins with, read from a file by a package.
         meshes: folders of the robot file's meshes (tauext.robot.mesh_files.mesh_folders), which are searched first.
 
     Raises:
@@ -180,13 +171,12 @@ def train_bundle(
             case or the recordings cannot serve.
         TrainingError: too little motion for the recipe, or a loss that diverges.
     """
-    out = place_of(out)
+    out = Path(out)
     expect_codes(accept)
     if out.suffix != ".tauext":
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
     expect_new_file(out)
-    own = None if network is None else load_network(place_of(network))
-    config = accepted_settings(config, dataset.split.calibration, like, own, dataset.folder)
+    config = accepted_settings(config, dataset.split.calibration, start, dataset.folder)
     robot_file = dataset.robot_file(robot)
     expect_meshes(robot_file, meshes)
     case, note = chosen_case(case, robot_file)
@@ -199,23 +189,22 @@ def train_bundle(
     expect_journal(dataset.folder)
     labels = read_labels(dataset.folder)
     given = Given(
-        robot_file, PAPER_CASES[case], training, validation, calibration, network=own, labels=labels, meshes=meshes
+        robot_file, PAPER_CASES[case], training, validation, calibration, start=start, meshes=meshes, labels=labels
     )
     checked = None
     if check:
         with times.phase("check"):
             checked = check_data(dataset, given, config, accept, report)
-    train_on_recordings(given, config, out, report, checked, like, accept, times, signals=True)
+    train_on_recordings(given, config, out, report, checked, accept, times, signals=True)
     return load_bundle(out)
 
 
 def train_on_recordings(
     given: Given,
     config: TrainConfig,
-    out: Place,
+    out: Path,
     report: Reporter = SILENT,
     checked: dict | None = None,
-    like: FleetPrior | None = None,
     accept: Sequence[str] | None = None,
     times: WallTimes | None = None,
     signals: bool = False,
@@ -232,7 +221,6 @@ def train_on_recordings(
         out: NAME.tauext; its folder is created.
         report: receives progress and sentences about results.
         checked: findings of the checks (check_data), for provenance; None: none were made.
-        like: the fleet prior of this type; None: the arm is trained alone.
         accept: codes of faults that are accepted: those of the limits, and `rejected`, with which the training goes on
             if a monitor rejects more than a fifth of the training motion. None: those of the limits, for a caller that
             judges the bundle itself.
@@ -245,7 +233,7 @@ def train_on_recordings(
         FaultyDataError: the limits have a fault that is not accepted; a checkpoint stays.
     """
     times = WallTimes() if times is None else times
-    job, setup, fit = fitted(given, config, out, report, like, times)
+    job, setup, fit = fitted(given, config, out, report, times)
     suspects, searched, free = list[Suspect](), [*job.training, *job.validation], given
     for _ in range(SEARCHES):
         with times.phase("suspects"):
@@ -256,7 +244,7 @@ def train_on_recordings(
         job.say("fitting again without suspected touches")
         training, validation = (without_suspects(some, suspects) for some in (given.training, given.validation))
         free = replace(given, training=training, validation=validation)
-        job, setup, fit = fitted(free, config, out, report, like, times)
+        job, setup, fit = fitted(free, config, out, report, times)
     recorded, given = given, free
     if suspects:
         job = replace(job, suspects=suspects)
@@ -277,7 +265,7 @@ def train_on_recordings(
             bundle, fit = gate(job, bundle, setup, fit)
     with times.phase("calibrate"):
         complete(job, bundle, given, setup, fit)
-    if signals and like is None and not bundle.has_network:
+    if signals and given.start is NOTHING and not bundle.has_network:
         with times.phase("signals"):
             compare_signals(job, bundle, recorded)
     if accept is not None:
@@ -287,18 +275,15 @@ def train_on_recordings(
 
 
 def fitted(
-    given: Given, config: TrainConfig, out: Place, report: Reporter, like: FleetPrior | None, times: WallTimes
+    given: Given, config: TrainConfig, out: Path, report: Reporter, times: WallTimes
 ) -> tuple[Job, Setup, PriorFit | None]:
     """The prepared job, its setup without the prior, and the prior; see train_on_recordings."""
     with times.phase("prepare"):
-        job = replace(prepare(given, config, out, report, like), times=times)
+        job = replace(prepare(given, config, out, report), times=times)
     job.say("observing the motion")
     with times.phase("observe"):
         setup = observe(job)
-    if like is not None:
-        expect_like(job, setup)
-        job.facts["like"] = like_facts(like)
-        job.facts["gain"] = {"chosen_per_s": setup.observer.gain_per_s, "reason": "the fleet prior's"}
+    job.start.begin(job, setup)
     if config.row.fit is not None:
         job.say("fitting friction and model")
     with times.phase("fit"):

@@ -12,11 +12,11 @@ from tauext.bundle.bundle_file import write_bundle
 from tauext.data.free_motion import total_s
 from tauext.data.servo import servo_of_recordings
 from tauext.errors import RobotError
-from tauext.files.copies import at_home
+from tauext.fit.network_training import ScaledNetwork
 from tauext.robot.capsules import link_capsules
 from tauext.robot.frames import wrench_frames
 from tauext.robot.mesh_files import MeshFolders
-from tauext.train.network import CHECKPOINT, ScaledNetwork
+from tauext.train.network import CHECKPOINT
 from tauext.train.preparation import Job
 from tauext.train.promised_limits import remove_checkpoint
 
@@ -31,13 +31,13 @@ def write(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> None:
     history = [list(entry) for entry in network.trained.history] if network else []
     write_bundle(bundle, job.out, facts_of(job, bundle, network) | job.run, history, job.times)
     remove_checkpoint(job.out)
-    at_home(job.out).with_suffix(CHECKPOINT).unlink(missing_ok=True)  # kept until here: gate and limits take minutes
+    job.out.with_suffix(CHECKPOINT).unlink(missing_ok=True)  # kept until here: gate and limits take minutes
     job.say(job.times.sentence())
 
 
 def facts_of(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> dict:
     """Results of the training, as plain JSON."""
-    config = job.config.resolved() if job.network is None else job.config  # nothing is trained: no epochs, no batch
+    config = job.config.resolved() if job.start.learns else job.config  # nothing is trained: no epochs, no batch
     facts: dict[str, Any] = {
         "recipe": config.recipe,
         "case": job.case.name,
@@ -46,7 +46,7 @@ def facts_of(job: Job, bundle: Bundle, network: ScaledNetwork | None) -> dict:
     }
     facts["steps"] = network.trained.steps if network else 0
     learned_on = job.motion.training if bundle.has_network else job.motion.uncut
-    facts["training_minutes"] = round(total_s(learned_on) / 60, 6) if job.network is None else 0.0
+    facts["training_minutes"] = round(total_s(learned_on) / 60, 6) if job.start.learns else 0.0
     facts["robot_sha256"] = job.training[0].robot_sha256
     facts |= job.facts
     if job.constants is not None:

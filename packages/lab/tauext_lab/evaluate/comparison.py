@@ -16,7 +16,6 @@ from tauext.bundle.bundle_file import changed_since_training
 from tauext.bundle.estimates import STALE, Estimates, save_estimates
 from tauext.bundle.loss_history import LossHistory
 from tauext.check.before_training import Rejected
-from tauext.config import EventsConfig
 from tauext.data.dataset import ahead
 from tauext.data.free_motion import free_samples
 from tauext.data.recording import Recording
@@ -38,6 +37,7 @@ from tauext_lab.evaluate.collisions import (
     judge_latched,
     latched_summary,
 )
+from tauext_lab.evaluate.config import EventsConfig
 from tauext_lab.evaluate.errors import ErrorAgainstSigma, sensor_reference
 from tauext_lab.evaluate.events import EventMeasures, Labels, OwnTorque, own_limits
 from tauext_lab.evaluate.free_motion import (

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tauext.bundle.estimates import COLLISION, Estimates
-from tauext.config import EventsConfig
 from tauext.data.free_motion import free_samples
 from tauext.data.recording import Recording
 from tauext_lab.evaluate.collisions import Onsets, delay_quantiles
+from tauext_lab.evaluate.config import EventsConfig
 from tauext_lab.evaluate.free_motion import FALSE_ALARM_QUIET_S, beginnings, time_since_touch
 from tauext_lab.evaluate.results import EventCounts, Events, EventVerdict, FalseAlarm, OwnTorqueEvents
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, replace
 from functools import cache
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
 from tauext.bundle.units import of_all, short
 from tauext.check.before_training import RejectedTime
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.plain_file import expect_format, json_of, read_text
 
 Number = float | None
@@ -708,7 +708,7 @@ class Results:
 # --- The file.
 
 
-def load_results(folder: Place) -> Results:
+def load_results(folder: Path) -> Results:
     """Read `results.json` of a results folder. A number that is null or absent becomes None.
 
     Raises:

@@ -15,16 +15,16 @@ from tauext._core import Bundle
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.loss_history import read_loss_history
 from tauext.check.before_training import WORTH_A_WARNING
-from tauext.config import EventsConfig, checked
+from tauext.config import checked
 from tauext.data.dataset import Dataset
 from tauext.data.labels import labels_key
 from tauext.data.recording_file import fingerprint
 from tauext.errors import ConfigError
 from tauext.files.checkpoint import Checkpoint
-from tauext.files.places import Place
 from tauext.files.provenance import VERSION, provenance, write_json
 from tauext.progress import SILENT, Reporter
 from tauext_lab.evaluate.comparison import evaluate
+from tauext_lab.evaluate.config import EventsConfig
 from tauext_lab.evaluate.injected import FIRST_S, SLOT_S
 from tauext_lab.evaluate.results import EvaluatedBundle, Results, to_json
 
@@ -40,7 +40,7 @@ def why_nothing_injected(dataset: Dataset) -> str:
 @checked
 def evaluate_bundles(
     dataset: Dataset,
-    bundles: Mapping[str, Place],
+    bundles: Mapping[str, Path],
     out: Path,
     seed: int = 0,
     threads: int = 0,
@@ -55,9 +55,7 @@ def evaluate_bundles(
     """Write results.json, estimates, run.json and wall times for named bundles.
 
     Returns the content of results.json; docs/reference/files-results.md describes it.
-
     A killed or interrupted run continues after the last recording that it finished.
-
     If NAME.run.json exists beside a bundle, the loss history of its training goes into results.json too.
 
     Args:
@@ -80,45 +78,32 @@ def evaluate_bundles(
     if inject and not dataset.split.test:
         raise ConfigError(why_nothing_injected(dataset))
     loaded = {name: load_bundle(path) for name, path in bundles.items()}
-    work = {
-        "seed": seed,
-        "keep_free_estimates": keep_free_estimates,
-        "sanity": sanity,
-        "events": asdict(events),
-        "inject": inject,
-    }
+    work = dict(seed=seed, keep_free_estimates=keep_free_estimates, sanity=sanity, events=asdict(events), inject=inject)
     kept = Checkpoint(out / "evaluate.half-done", work_key(dataset, loaded, work), loaded, "tauext_lab")
     histories = {name: read_loss_history(loaded[name], path) for name, path in bundles.items()}
+    calibration = dataset.loaders("calibration") or dataset.loaders("validation") or dataset.loaders("train")
     with report.progress("evaluate") as show:
         results = evaluate(
-            loaded,
-            dataset.loaders("test"),
-            dataset.loaders("collisions"),
-            out / "estimates",
-            seed,
-            threads or os.cpu_count() or 1,
-            lambda what, done, total: show(done, total, "recordings"),
-            histories,
-            keep_free_estimates,
-            sanity,
-            events,
-            dataset.loaders("calibration") or dataset.loaders("validation") or dataset.loaders("train"),
-            kept,
-            inject,
-        )
+            loaded, dataset.loaders("test"), dataset.loaders("collisions"), out / "estimates", seed,
+            threads or os.cpu_count() or 1, lambda what, done, total: show(done, total, "recordings"), histories,
+            keep_free_estimates, sanity, events, calibration, kept, inject,
+        )  # fmt: skip
     if inject and not any(one.injected and one.injected.events for one in results.bundles):
         kept.end()
         raise ConfigError(why_nothing_injected(dataset))
-    judged = [*dataset.split.test, *dataset.split.collisions]
-    recordings = {name.removesuffix(".parquet"): fingerprint(dataset.folder / name) for name in judged}
-    source = {"command": command, "dataset": dataset.folder.name, "scale": scale, "recordings": recordings}
     write_json({"evaluate_s": time.monotonic() - started}, out / "wall_time_s.json")
-    content = write_results(results, out, "tauext evaluate", seed, source)
-    for bundle in results.bundles:
-        if words := unhealthy_words(bundle):
-            report.say(words)
+    content = write_results(results, out, "tauext evaluate", seed, source_of(dataset, command, scale))
+    for words in filter(None, map(unhealthy_words, results.bundles)):
+        report.say(words)
     kept.end()
     return content
+
+
+def source_of(dataset: Dataset, command: str, scale: str | None) -> dict[str, Any]:
+    """Origin of results: the command, the dataset and the recordings that were judged."""
+    judged = [*dataset.split.test, *dataset.split.collisions]
+    recordings = {name.removesuffix(".parquet"): fingerprint(dataset.folder / name) for name in judged}
+    return {"command": command, "dataset": dataset.folder.name, "scale": scale, "recordings": recordings}
 
 
 def write_results(results: Results, out: Path, program: str, seed: int, source: dict[str, Any]) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TypeVar
 
 import matplotlib
@@ -11,7 +12,6 @@ from matplotlib.lines import Line2D
 
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_files
-from tauext.files.places import Place
 from tauext.fit.tail import duration
 from tauext_lab.evaluate.results import EvaluatedBundle, Injected, NoticedForce
 from tauext_lab.report.signals import NotAvailable
@@ -168,7 +168,7 @@ def newtons(force_n: float | None) -> str:
 # --- The figure of noticed forces as a file of its own.
 
 
-def write_noticed_picture(noticed: NoticedForce, picture: Place) -> None:
+def write_noticed_picture(noticed: NoticedForce, picture: Path) -> None:
     """Draw noticed forces as a PNG.
 
     Raises:

@@ -9,13 +9,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
 from tauext.check.before_training import WORTH_A_WARNING
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_folder
-from tauext.files.places import Place
 from tauext.files.preflight import expect_folder
 from tauext.fit.tail import duration
 from tauext_lab.evaluate.results import EvaluatedBundle, FreeMotion, Numbers, Results, load_results
@@ -343,7 +343,6 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
     """
     colours = bundle_colours([bundle.name for bundle in results.bundles])
     shown = shown_bundle(results)
-    noticed = shown.noticed_force
     return render_template(
         TEMPLATE,
         first=first_screen(results),
@@ -374,17 +373,7 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         touch_kinds=tables.kinds_table(results),
         touch_estimates=tables.touch_estimates_table(results),
         extremes=tables.extremes(results),
-        noticed=noticed_table(noticed),
-        noticed_by=shown.label,
-        noticed_refused=noticed and noticed.refused,
-        noticed_gain=noticed and noticed.gain_per_s,
-        noticed_times=surely(noticed.error_share) if noticed and noticed.error_share else None,
-        noticed_closing=CLOSING,
-        injected=shown.injected,
-        injected_words=injected_words(shown.injected) if shown.injected and shown.injected.curves else "",
-        pressed_words=pressed_words(shown.injected) if shown.injected else "",
-        injected_closing=ASSUMED,
-        injected_table=injected_table(results.bundles, shown),
+        **forces_of(shown, results),
         alarms=tables.alarms(results),
         ten_collisions=tables.collisions(results, results.ten, traces.recordings) if results.ten else None,
         all_collisions=tables.collisions(results, results.collisions, traces.recordings)
@@ -396,6 +385,24 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         figures=figures,
         traces=traces,
     )
+
+
+def forces_of(shown: EvaluatedBundle, results: Results) -> dict[str, Any]:
+    """How large a force is noticed, and how many added ones were found."""
+    noticed, injected = shown.noticed_force, shown.injected
+    return {
+        "noticed": noticed_table(noticed),
+        "noticed_by": shown.label,
+        "noticed_refused": noticed and noticed.refused,
+        "noticed_gain": noticed and noticed.gain_per_s,
+        "noticed_times": surely(noticed.error_share) if noticed and noticed.error_share else None,
+        "noticed_closing": CLOSING,
+        "injected": injected,
+        "injected_words": injected_words(injected) if injected and injected.curves else "",
+        "pressed_words": pressed_words(injected) if injected else "",
+        "injected_closing": ASSUMED,
+        "injected_table": injected_table(results.bundles, shown),
+    }
 
 
 def facts(results: Results) -> list[tuple[str, str]]:
@@ -461,7 +468,7 @@ LARGEST_PAGE_MB = 1000.0
 
 
 def write_report(
-    results_dir: Path, dataset_dir: Place, out_dir: Path, page_mb: float = PAGE_MB, trace_methods: Sequence[str] = ()
+    results_dir: Path, dataset_dir: Path, out_dir: Path, page_mb: float = PAGE_MB, trace_methods: Sequence[str] = ()
 ) -> Path:
     """Write `figures/*.png` and `report.html`, one page that needs no other file; returns its path.
 

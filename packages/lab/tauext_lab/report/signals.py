@@ -11,7 +11,6 @@ from tauext.data.dataset import FILE_NAME
 from tauext.data.recording import Recording
 from tauext.data.recording_file import fingerprint, load_recording
 from tauext.errors import ConfigError, RecordingError
-from tauext.files.places import Place
 from tauext_lab.evaluate.results import Results
 
 
@@ -23,7 +22,7 @@ class NotAvailable(Exception):
 class Signals:
     """Where recordings and estimates lie, and the joints that the results are about."""
 
-    dataset_dir: Place
+    dataset_dir: Path
     results_dir: Path
     joints: tuple[str, ...]
 
@@ -97,7 +96,7 @@ NAMED = 3
 """So many of the recordings are named."""
 
 
-def expect_same_dataset(results: Results, results_dir: Path, dataset_dir: Place) -> None:
+def expect_same_dataset(results: Results, results_dir: Path, dataset_dir: Path) -> None:
     """Raise ConfigError where the dataset's recordings are not those that were evaluated.
 
     A missing recording is named on the page in its place; a dataset with none of them is a different dataset.

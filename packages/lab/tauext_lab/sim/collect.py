@@ -6,10 +6,10 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -132,23 +132,9 @@ def simulate_dataset(
     """
     seconds = 60.0 * minutes + 3600.0 * (calibration_hours + test_hours)
     _expect_room(out_dir, config, seconds + config.collision_recording_s * collision_recordings)
-    count, length_s = _cut(minutes, config)
-    touching: tuple[Kind, Kind] = ("pulses", "pads")
-    kinds: list[Kind] = ["free"] * count
-    kinds += [touching[k % 2] for k in range(collision_recordings)]
-    names = [f"free-{k:03d}.parquet" for k in range(count)]
-    names += [f"collisions-{k:03d}.parquet" for k in range(collision_recordings)]
     more = {"calibration": calibration_hours, "test": test_hours}
-    more_names = {
-        set_name: [f"{set_name}-{k:04d}.parquet" for k in range(round(3600 * hours / config.recording_s))]
-        for set_name, hours in more.items()
-    }
-    numbers = {name: k for k, name in enumerate(names[:count])}
-    numbers |= {name: k for k, name in enumerate(names[count:])}
-    for set_name, first in (("calibration", FIRST_CALIBRATION), ("test", FIRST_TEST)):
-        numbers |= {name: first + k for k, name in enumerate(more_names[set_name])}
-        names += more_names[set_name]
-        kinds += ["free"] * len(more_names[set_name])
+    sets = _planned(config, minutes, collision_recordings, more)
+    takes = [take for set_name in sets for take in sets[set_name]]
     robot = arm_xml(config)
     robot_sha256 = hashlib.sha256(robot.encode()).hexdigest()
     started = time.monotonic()
@@ -158,31 +144,65 @@ def simulate_dataset(
     with atomic_write(out_dir / "robot.xml") as file:
         file.write_text(robot)
 
-    def make(k: int) -> str:
-        path = out_dir / names[k]
-        if path.exists():
-            return kinds[k]
-        seconds = length_s if k < count else config.recording_s if kinds[k] == "free" else config.collision_recording_s
-        save_recording(simulate_recording(config, kinds[k], seconds, seed, numbers[names[k]], robot_sha256), path)
-        return kinds[k]
+    def make(take: _Take) -> Kind:
+        path = out_dir / take.name
+        if not path.exists():
+            save_recording(simulate_recording(config, take.kind, take.seconds, seed, take.number, robot_sha256), path)
+        return take.kind
 
-    pool = ThreadPoolExecutor(os.cpu_count())
     try:
-        for done, future in enumerate(as_completed([pool.submit(make, k) for k in range(len(names))]), start=1):
-            kind = future.result()
-            if progress is not None:
-                progress("free motion" if kind == "free" else f"collisions by {kind}", done, len(names))
+        _make_all(takes, make, progress)
     except BaseException:
-        pool.shutdown(cancel_futures=True)
         _unclaim(out_dir)
         raise
+    names = {set_name: [take.name for take in sets[set_name]] for set_name in sets}
+    split = split_recordings(names["free"], seed, minimum=LEAST_RECORDINGS, collisions=names["collisions"])
+    more_test = (*split.test, *names["test"])
+    save_split(replace(split, test=more_test, calibration=tuple(names["calibration"])), out_dir)
+    write_json({"simulate": round(time.monotonic() - started, 3)}, out_dir / "wall_time_s.json")
+
+
+def _make_all(takes: Sequence[_Take], make: Callable[[_Take], Kind], progress: Progress | None) -> None:
+    """Make the recordings, one a core at the same time; an error or Ctrl-C ends those that have not begun."""
+    pool = ThreadPoolExecutor(os.cpu_count())
+    try:
+        for done, future in enumerate(as_completed([pool.submit(make, take) for take in takes]), start=1):
+            kind = future.result()
+            if progress is not None:
+                progress("free motion" if kind == "free" else f"collisions by {kind}", done, len(takes))
     finally:
         pool.shutdown(cancel_futures=True)
-    collisions = names[count : count + collision_recordings]
-    split = split_recordings(names[:count], seed, minimum=LEAST_RECORDINGS, collisions=collisions)
-    more_test = (*split.test, *more_names["test"])
-    save_split(replace(split, test=more_test, calibration=tuple(more_names["calibration"])), out_dir)
-    write_json({"simulate": round(time.monotonic() - started, 3)}, out_dir / "wall_time_s.json")
+
+
+@dataclass(frozen=True)
+class _Take:
+    """A recording to make; the number selects its random streams."""
+
+    name: str
+    kind: Kind
+    seconds: float
+    number: int
+
+
+def _planned(
+    config: RigConfig, minutes: float, collision_recordings: int, more_hours: dict[str, float]
+) -> dict[str, list[_Take]]:
+    """Recordings by what they are for: free motion, collisions, and more motion for calibration and test."""
+    count, length_s = _cut(minutes, config)
+    touching: tuple[Kind, Kind] = ("pulses", "pads")
+    sets = {
+        "free": [_Take(f"free-{k:03d}.parquet", "free", length_s, k) for k in range(count)],
+        "collisions": [
+            _Take(f"collisions-{k:03d}.parquet", touching[k % 2], config.collision_recording_s, k)
+            for k in range(collision_recordings)
+        ],
+    }
+    for set_name, first in (("calibration", FIRST_CALIBRATION), ("test", FIRST_TEST)):
+        sets[set_name] = [
+            _Take(f"{set_name}-{k:04d}.parquet", "free", config.recording_s, first + k)
+            for k in range(round(3600 * more_hours[set_name] / config.recording_s))
+        ]
+    return sets
 
 
 def _expect_room(out_dir: Path, config: RigConfig, seconds: float) -> None:

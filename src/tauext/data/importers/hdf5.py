@@ -398,66 +398,82 @@ def _expect_readable(path: Path, dataset: Any) -> None:
 
 
 def _hdf5_content(file: Any, matlab: bool) -> Content:
-    import h5py
+    walk = _Walk(file, matlab)
+    if not matlab:
+        walk.attributes((), file)
+    file.visititems(walk.visit)
+    return walk.content
 
-    content = Content()
-    frames: set[str] = set()
 
-    def number(path: tuple[str, ...], value: Any) -> None:
+class _Walk:
+    """Collects the content of a file, one item after the other."""
+
+    def __init__(self, file: Any, matlab: bool) -> None:
+        self.file, self.matlab = file, matlab
+        self.content = Content()
+        self.frames: set[str] = set()
+
+    def number(self, path: tuple[str, ...], value: Any) -> None:
         if isinstance(value, int | float | np.number) or (isinstance(value, np.ndarray) and value.size == 1):
             try:
-                content.scalars[path] = float(np.ravel(value)[0])
+                self.content.scalars[path] = float(np.ravel(value)[0])
             except (TypeError, ValueError):
                 pass  # a text
 
-    def attributes(path: tuple[str, ...], item: Any) -> None:
+    def attributes(self, path: tuple[str, ...], item: Any) -> None:
         for name in item.attrs:
             value = item.attrs.get(name)
-            number((*path, str(name)), value)
+            self.number((*path, str(name)), value)
             if JOINT_NAMES.fullmatch(str(name)) and np.ndim(value) == 1:
-                content.words[(*path, str(name))] = tuple(map(_word, value))
+                self.content.words[(*path, str(name))] = tuple(map(_word, value))
 
-    def visit(name: str, item: Any) -> None:
+    def visit(self, name: str, item: Any) -> None:
+        import h5py
+
         path = tuple(name.split("/"))
         if name.startswith("#"):
             return  # internal data of MATLAB objects
-        if not matlab:
-            attributes(path, item)
+        if not self.matlab:
+            self.attributes(path, item)
         if isinstance(item, h5py.Dataset):
-            dataset(path, item)
-        elif not matlab and _word(item.attrs.get("pandas_type", "")) == "frame":
-            frame(path, item)
+            self.dataset(path, item)
+        elif not self.matlab and _word(item.attrs.get("pandas_type", "")) == "frame":
+            self.frame(path, item)
 
-    def frame(path: tuple[str, ...], group: Any) -> None:
+    def frame(self, path: tuple[str, ...], group: Any) -> None:
         """A pandas table: blocks of columns of one type, and the index."""
         for name in group:
             if match := re.fullmatch(r"block(\d+)_values", name):
                 items = group[f"block{match[1]}_items"]
                 words = tuple(_word(one) for one in items[()]) if items.nbytes <= MOST_WORDS else ()
-                content.add((*path, name), group[name].shape, (group[name].name,))
-                content.arrays[-1] = replace(content.arrays[-1], labels=words, named=True)
+                self.content.add((*path, name), group[name].shape, (group[name].name,))
+                self.content.arrays[-1] = replace(self.content.arrays[-1], labels=words, named=True)
         if "axis1" in group and group["axis1"].dtype.kind in "iuf":
-            content.add((*path, "index"), group["axis1"].shape, (group["axis1"].name,))
-        frames.add(group.name)
+            self.content.add((*path, "index"), group["axis1"].shape, (group["axis1"].name,))
+        self.frames.add(group.name)
 
-    def dataset(path: tuple[str, ...], item: Any) -> None:
+    def dataset(self, path: tuple[str, ...], item: Any) -> None:
+        import h5py
+
         kind = _word(item.attrs.get("MATLAB_class", ""))
-        if item.parent.name in frames or item.shape is None or item.attrs.get("MATLAB_empty", 0):
+        if item.parent.name in self.frames or item.shape is None or item.attrs.get("MATLAB_empty", 0):
             return
         if "MATLAB_object_decode" in item.attrs and kind not in ("logical", "char", "cell", "struct", ""):
-            content.objects.append(f"{'.'.join(path)} ({kind})")
+            self.content.objects.append(f"{'.'.join(path)} ({kind})")
         elif h5py.check_ref_dtype(item.dtype) is h5py.Reference:
             if item.nbytes <= MOST_WORDS:
-                references(path, item, kind == "cell")
+                self.references(path, item, kind == "cell")
         elif item.dtype.names:
             for name in item.dtype.names:
                 sub = item.dtype[name]
                 if sub.base.kind in "fiub":
-                    content.add((*path[:-1], f"{path[-1]}.{name}"), (*item.shape, *sub.shape), (item.name, f".{name}"))
+                    self.content.add(
+                        (*path[:-1], f"{path[-1]}.{name}"), (*item.shape, *sub.shape), (item.name, f".{name}")
+                    )
         elif item.dtype.kind in "fiub" and kind != "char":
             if item.size == 1:
-                number(path, item[()])
-            content.add(path, item.shape, (item.name,))
+                self.number(path, item[()])
+            self.content.add(path, item.shape, (item.name,))
         elif (
             item.dtype.kind in "SO"
             and item.ndim == 1
@@ -465,33 +481,30 @@ def _hdf5_content(file: Any, matlab: bool) -> Content:
             and item.nbytes <= MOST_WORDS
             and JOINT_NAMES.fullmatch(path[-1])
         ):
-            content.words[path] = tuple(_word(one) for one in item[()])
+            self.content.words[path] = tuple(_word(one) for one in item[()])
 
-    def references(path: tuple[str, ...], item: Any, cell: bool) -> None:
+    def references(self, path: tuple[str, ...], item: Any, cell: bool) -> None:
         """Cells, and the fields of arrays of structs."""
-        targets = [file[one] for one in np.ravel(item[()]) if one]
+        import h5py
+
+        targets = [self.file[one] for one in np.ravel(item[()]) if one]
         if cell and all(_word(t.attrs.get("MATLAB_class", "")) == "char" for t in targets):
-            content.words[path] = tuple("".join(map(chr, np.ravel(t[()]).tolist())) for t in targets)
+            self.content.words[path] = tuple("".join(map(chr, np.ravel(t[()]).tolist())) for t in targets)
             return
         vectors = [t for t in targets if isinstance(t, h5py.Dataset) and t.dtype.kind in "fiub" and t.size > 1]
         one_length = len({t.size for t in vectors}) == 1 and all(t.size == max(t.shape) for t in vectors)
         if cell and one_length and len(vectors) == len(targets) > 1:
-            content.add(path, (vectors[0].size, len(vectors)), tuple(t.name for t in vectors))
+            self.content.add(path, (vectors[0].size, len(vectors)), tuple(t.name for t in vectors))
             return
         for k, target in enumerate(targets):
             at = (*path, str(k + 1))
             if isinstance(target, h5py.Group):
                 for name, child in target.items():
                     if isinstance(child, h5py.Dataset):
-                        dataset((*at, name), child)
+                        self.dataset((*at, name), child)
             else:
                 # runs in parallel cells, or in an array of structs
-                dataset((str(k + 1), *path) if cell else (*path[:-1], str(k + 1), path[-1]), target)
-
-    if not matlab:
-        attributes((), file)
-    file.visititems(visit)
-    return content
+                self.dataset((str(k + 1), *path) if cell else (*path[:-1], str(k + 1), path[-1]), target)
 
 
 def _word(value: Any) -> str:

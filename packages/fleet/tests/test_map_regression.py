@@ -2,10 +2,14 @@
 
 import numpy as np
 import pytest
+from made_arms import planar_arm
 from scipy.optimize import minimize
+from tauext_fleet.map_regression import MapRegression, WeightPrior
+from test_small_datasets import corrections_problem
 
+from tauext.fit.links import ROTOR, bound_links
 from tauext.fit.regression import NormalEquations
-from tauext.fit.ridge import MapRegression, WeightPrior
+from tauext.robot.inertial import PARAMETERS
 
 NOISE = np.array([0.5, 2.0])
 COLUMNS = (np.array([0, 1, 4]), np.array([2, 3, 4]))  # two of its own a joint, one that both share
@@ -97,3 +101,16 @@ def test_a_column_that_no_arm_of_the_fleet_shows_stays_at_its_mean():
     dark = WeightPrior(MEAN * [1, 0, 1, 1, 1], covariance, NOISE, known.memory_s)
     regression = MapRegression(equations(made), dark, 0.01)
     assert regression.solve(regression.whole)[1] == 0 and not regression.used[1]
+
+
+def test_a_fleet_whose_mean_no_link_can_have_gives_an_arm_that_can_be():
+    """Columns that no arm of the fleet excited keep its mean, which may be beyond the bounds by rounding."""
+    tree, plain = planar_arm(), corrections_problem(ROTOR, 0.1)
+    width = 2 * len(PARAMETERS)
+    mean, covariance = np.zeros(width), np.eye(width)
+    mean[ROTOR], covariance[ROTOR, :], covariance[:, ROTOR] = -0.85, 0.0, 0.0
+    prior = WeightPrior(mean, covariance, np.ones(2), np.ones(2))
+    regression = MapRegression(plain.folds, prior, 0.01)
+    bound_links(regression, tree)
+    solution = regression.solve(regression.whole)
+    assert tree.links[0].rotor_inertia + solution[ROTOR] == 0 and not regression.used[ROTOR]

@@ -4,20 +4,20 @@ import hashlib
 import json
 import pickle
 import zipfile
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from doc_pages import Page, parses
 from made_results import run_command
+from tauext_lab.own_network import load_network
 
 from tauext import _core
 from tauext.cli import main
 from tauext.config import ObserverConfig, TrainConfig
 from tauext.data.dataset import load_dataset
 from tauext.errors import ConfigError
-from tauext.files.places import place_of
-from tauext.fit.network_weights import load_network
 from tauext.train.stage import train_bundle
 
 HIDDEN, JOINTS = 7, 2
@@ -82,7 +82,9 @@ def data(tmp_path_factory):
 
 def trained(data, file, out, **settings) -> _core.Bundle:
     config = TrainConfig(**({"recipe": "paper"} | settings))
-    return train_bundle(load_dataset(data), out, case="none", config=config, check=False, network=file)
+    return train_bundle(
+        load_dataset(data), out, case="none", config=config, check=False, start=load_network(Path(file))
+    )
 
 
 @pytest.mark.parametrize("kind", [np.float64, np.float32])
@@ -235,7 +237,7 @@ INFINITE = weights(kind=np.float32)["linear.bias"] * np.float32(np.inf)
 def test_bad_weights_are_refused_in_one_line(tmp_path, changes, message):
     file = saved(tmp_path / "own.npz", **changes)
     with pytest.raises(ConfigError, match=message) as raised:
-        load_network(place_of(file))
+        load_network(file)
     assert str(raised.value).startswith(f"{file}: ") and "\n" not in str(raised.value)
 
 
@@ -258,13 +260,13 @@ def test_bad_files_are_refused_in_one_line(data, tmp_path, capsys):
             file.write(bytes(1 << 20))
     for name in (*contents, "one.npy", "large.npz"):
         with pytest.raises(ConfigError, match=f"{name}: no file of numpy.savez with plain arrays") as raised:
-            load_network(place_of(tmp_path / name))
+            load_network(tmp_path / name)
         assert "\n" not in str(raised.value)
     options = ("--data", data, "--recipe", "paper", "--network", "gone.npz", "--out", tmp_path / "own.tauext")
     code, _, err = run_command(capsys, "train", *options)
     assert code == 2 and err.splitlines()[-1].startswith("tauext: error: gone.npz: there is no such file")
     with pytest.raises(ConfigError, match="not readable"):
-        load_network(place_of(tmp_path))
+        load_network(tmp_path)
 
 
 def test_a_damaged_file_is_refused_or_read(tmp_path):
@@ -276,7 +278,7 @@ def test_a_damaged_file_is_refused_or_read(tmp_path):
             raw[at] = rng.integers(256)
         (tmp_path / "bad.npz").write_bytes(raw)
         try:
-            load_network(place_of(tmp_path / "bad.npz"))
+            load_network(tmp_path / "bad.npz")
         except ConfigError as error:
             refused += 1
             assert "\n" not in str(error)

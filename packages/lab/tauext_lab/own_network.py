@@ -1,22 +1,25 @@
-"""Weights under PyTorch's names: the core's layout of them, and the file of a network that was trained elsewhere."""
+"""A network that was trained in PyTorch: weights in the core's layout, their file, a training that begins with them."""
 
 from __future__ import annotations
 
 import hashlib
 import zlib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from io import BytesIO
+from pathlib import Path
 from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
 from tauext import _core
-from tauext.config import MOST_HIDDEN
+from tauext.config import MOST_HIDDEN, TrainConfig, require
 from tauext.errors import ConfigError
-from tauext.files.places import Place
 from tauext.files.plain_file import LARGEST_TEXT, read_bytes
-from tauext.fit.training_set import Scaling
+from tauext.fit.network_training import ScaledNetwork, TrainedNetwork
+from tauext.fit.training_set import Scaling, Setup
+from tauext.train.paper_limits import set_limits
+from tauext.train.preparation import TRAINING_ONLY, Job, Start
 
 # --- PyTorch's LSTM of one layer and a linear head, in the layout of LstmShape.
 
@@ -49,9 +52,10 @@ UNREADABLE += (OSError, RuntimeError, SyntaxError, TypeError, ValueError)
 
 
 @dataclass(frozen=True)
-class NetworkWeights:
+class OwnNetwork(Start):
     """A trained network of recipe paper's structure: q(k), dq(k), dq(k-1), one LSTM layer, a linear head."""
 
+    learns = False
     file: str
     """Name of its file."""
     sha256: str
@@ -60,20 +64,49 @@ class NetworkWeights:
     scaling: Scaling
     limit_nm: np.ndarray | None  # (n,) the user's limits of |tau_ext|
 
-    def expect_joints(self, joints: Sequence[str]) -> None:
-        """Raise ConfigError unless the network has an output for each of these joints."""
-        if self.shape.outputs != len(joints):
+    def settings(self, config: TrainConfig) -> TrainConfig:
+        """The settings with the network's hidden units.
+
+        Raises:
+            ConfigError: another recipe than paper, or a setting that has no effect without a training.
+        """
+        require(
+            config.recipe == "paper", "recipe", config.recipe, "paper with a given network, which has its structure"
+        )
+        default, hidden = TrainConfig(), self.shape.hidden
+        for name in TRAINING_ONLY:
+            value = getattr(config, name)
+            require(value == getattr(default, name), name, value, "left out with a given network: nothing is trained")
+        own = config.hidden in (default.hidden, hidden)
+        require(own, "hidden", config.hidden, f"left out with a given network, which has {hidden}")
+        constant = config.limits == "auto" and self.limit_nm is not None
+        off = not constant or config.error_scale != "on"
+        require(off, "error_scale", config.error_scale, "left out with limit_nm of a given network, which is constant")
+        return replace(config, hidden=hidden)
+
+    def begin(self, job: Job, setup: Setup) -> None:
+        """Add which file it is; ConfigError: the network does not have one output for each joint."""
+        if self.shape.outputs != len(job.joints):
             raise ConfigError(
-                f"{self.file}: a network of {self.shape.outputs} joints; the recordings have {len(joints)}: "
-                f"{', '.join(joints)}"
+                f"{self.file}: a network of {self.shape.outputs} joints; the recordings have {len(job.joints)}: "
+                f"{', '.join(job.joints)}"
             )
+        job.facts["network"] = {"file": self.file, "sha256": self.sha256, "hidden": self.shape.hidden}
 
-    def facts(self) -> dict:
-        """Facts that identify the network by its file, for provenance."""
-        return {"file": self.file, "sha256": self.sha256, "hidden": self.shape.hidden}
+    def network(self) -> ScaledNetwork:
+        """The network, as if it had been trained in no step."""
+        return ScaledNetwork(self.scaling, TrainedNetwork(self.shape, self.parameters, [], steps=0, seconds=0.0))
+
+    def put_limits(self, job: Job, bundle: _core.Bundle, kind: str) -> tuple[str, dict] | None:
+        """Set the user's limits, if there are some and the settings ask for no kind."""
+        if self.limit_nm is None or job.config.limits != "auto":
+            return None
+        set_limits(bundle, np.tile(self.limit_nm, (2, 1)), job.config.alarm)
+        words = f"limits are {LIMIT} of {self.file}, and promise nothing"
+        return words, {"sentence": words}
 
 
-def load_network(path: Place) -> NetworkWeights:
+def load_network(path: Path) -> OwnNetwork:
     """Read the weights and scales of a network that was trained elsewhere.
 
     Args:
@@ -103,7 +136,7 @@ def load_network(path: Place) -> NetworkWeights:
     q, speed, speed_before = np.split(arrays[INPUT_SCALE], 3)
     # A bundle scales dq(k) and dq(k-1) alike, so the weights of dq(k-1) take the difference.
     weights = arrays | {"weight_ih_l0": arrays["weight_ih_l0"] * np.r_[np.ones(2 * joints), speed / speed_before]}
-    return NetworkWeights(
+    return OwnNetwork(
         file=path.name,
         sha256=hashlib.sha256(raw).hexdigest(),
         shape=_core.LstmShape(3 * joints, hidden, joints),
@@ -113,7 +146,7 @@ def load_network(path: Place) -> NetworkWeights:
     )
 
 
-def read_arrays(path: Place, raw: bytes) -> dict[str, np.ndarray]:
+def read_arrays(path: Path, raw: bytes) -> dict[str, np.ndarray]:
     """Arrays of an npz by key, without pickled objects; ConfigError where it is none."""
     try:
         with ZipFile(BytesIO(raw)) as archive:
@@ -127,7 +160,7 @@ def read_arrays(path: Place, raw: bytes) -> dict[str, np.ndarray]:
         raise ConfigError(f"{path}: no file of numpy.savez with plain arrays ({reason})") from error
 
 
-def named_arrays(path: Place, stored: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def named_arrays(path: Path, stored: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """float64 arrays under PyTorch's names without their prefix.
 
     Raises:
@@ -157,7 +190,7 @@ def named_arrays(path: Place, stored: Mapping[str, np.ndarray]) -> dict[str, np.
     return arrays
 
 
-def expect_shapes(path: Place, arrays: Mapping[str, np.ndarray]) -> None:
+def expect_shapes(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Raise ConfigError unless all arrays fit H of weight_hh_l0 and n of the head's bias."""
     W_h, bias = arrays["weight_hh_l0"], arrays["bias"]
     H, n = W_h.shape[-1] if W_h.ndim else 0, bias.size
@@ -183,7 +216,7 @@ def expect_shapes(path: Place, arrays: Mapping[str, np.ndarray]) -> None:
 
 
 def expect_range(
-    path: Place, name: str, array: np.ndarray, holds: Callable[[np.ndarray], np.ndarray], rule: str
+    path: Path, name: str, array: np.ndarray, holds: Callable[[np.ndarray], np.ndarray], rule: str
 ) -> None:
     """Raise ConfigError unless the rule holds for all elements; it does not hold for NaN."""
     wrong = np.argwhere(~holds(array))

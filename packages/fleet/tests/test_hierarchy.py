@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-
-from tauext.fit.fleet_prior import LEAST_ARMS, Evidence, learn_hierarchy
+from tauext_fleet.hierarchy import LEAST_ARMS, Evidence, learn_hierarchy
 
 BLOCKS = [np.arange(0, 3), np.arange(3, 5)]
 MEAN = np.array([5.0, 1.0, -2.0, 0.5, 3.0])
@@ -79,3 +78,18 @@ def test_an_arm_that_shows_little_is_told_by_the_others():
     silent = Evidence(1e-6 * np.eye(5), np.zeros(5), 1.0)
     found = learn_hierarchy([*many, silent], BLOCKS)
     assert found.weights[-1] == pytest.approx(found.mean, abs=1e-3)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-13])
+def test_rounding_does_not_decide_what_a_fleet_learns(noise):
+    """A fleet's covariance has a positive diagonal where any arm excites a column, whatever the last bits say."""
+    rng, evidence = np.random.default_rng(1), []
+    for _ in range(4):
+        X = rng.normal(size=(200, 4))
+        X = np.column_stack([X, X[:, 0] * (1 + noise * rng.normal(size=200)), 1e-6 * X[:, 1]])  # two undetermined pairs
+        evidence.append(Evidence(X.T @ X, X.T @ (X[:, 0] + rng.normal(size=200)), 200.0))
+    found = learn_hierarchy(evidence, [np.arange(3), np.arange(3, 6)])
+    assert (np.diag(found.covariance) > 0).all() and np.linalg.eigvalsh(found.covariance)[0] > 0
+    np.testing.assert_allclose(
+        found.mean[0] + found.mean[4], 1.0, atol=0.3
+    )  # 800 rows of unit noise, drawn to the fleet

@@ -20,11 +20,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from tauext import _core
+from tauext.config import TrainConfig
 from tauext.errors import TrainingError
 from tauext.fit.core_backend import CoreBackend
-from tauext.fit.network_weights import CORE_ORDER
 from tauext.fit.training_set import Setup, WindowSet
 from tauext.plugins import not_installed
+from tauext_lab.own_network import CORE_ORDER
 
 try:
     import torch
@@ -155,6 +156,11 @@ class TorchBackend:
             raise TrainingError(f"a sequence of {steps} steps cannot end at row {ends.min()}")
         last = torch.from_numpy(ends).to(self.device)
         return last[:, None] + torch.arange(1 - steps, 1, device=self.device)
+
+
+def lstm_backend(setup: Setup, training: WindowSet, config: TrainConfig, length: int, targets: int) -> TorchBackend:
+    """The backend of `tauext train --backend torch`: the core's network as a module."""
+    return TorchBackend(lstm_module(setup, config.hidden, config.seed), setup, training, length, targets)
 
 
 class LstmModule(torch.nn.Module):

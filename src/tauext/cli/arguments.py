@@ -1,54 +1,53 @@
-"""Arguments of several commands: paths or URLs, outputs, bundles made of another, --accept and --json."""
+"""Arguments of several commands: paths, outputs, bundles made of another, --accept and --json."""
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
-from tyro.constructors import PrimitiveConstructorSpec
 
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_files
-from tauext.files.places import Place, StoredPlace, place_of, same_place
 from tauext.files.preflight import expect_new_file
 
-# --- Options that take a path or a URL of a store.
+# --- Options that take a path.
 
 
-def is_place(value: Any) -> bool:
-    return isinstance(value, Path | StoredPlace)
+URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*)://")
+TYPES = tyro.constructors.ConstructorRegistry()
+"""How the command line reads a Path."""
 
 
-SPEC: PrimitiveConstructorSpec[Place] = PrimitiveConstructorSpec(
-    nargs=1,
-    metavar="PATH|URL",
-    instance_from_str=lambda words: place_of(words[0]),
-    is_instance=is_place,
-    str_from_instance=lambda place: [str(place)],
-)
-PlaceArg = Annotated[Place, SPEC]
-"""In the help PATH|URL."""
-BundleArg = Annotated[PlaceArg, tyro.conf.Positional, tyro.conf.arg(metavar="BUNDLE")]
+def local_path(words: list[str]) -> Path:
+    """Raises ConfigError of a URL, without its text, which may hold a key."""
+    if found := URL.match(words[0]):
+        raise ConfigError(
+            f"{found[1]}://...: is a URL, and paths are local; copy the files first, for example by `rclone copy` or "
+            "`aws s3 cp --recursive`; only `tauext fleet run` reads and writes object stores"
+        )
+    return Path(words[0])
+
+
+@TYPES.primitive_rule
+def path_rule(of: tyro.constructors.PrimitiveTypeInfo) -> tyro.constructors.PrimitiveConstructorSpec[Path] | None:
+    """The rule of every parameter of type Path."""
+    if of.type is not Path:
+        return None
+    return tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="PATH",
+        instance_from_str=local_path,
+        is_instance=lambda value: isinstance(value, Path),
+        str_from_instance=lambda path: [str(path)],
+    )
+
+
+BundleArg = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="BUNDLE")]
 """The bundle of a command that takes one before its recordings."""
-RecordingsArg = Annotated[tuple[PlaceArg, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RECORDING ...")]
-
-
-def local(words: list[str]) -> Path:
-    place = place_of(words[0])
-    if isinstance(place, Path):
-        return place
-    raise ConfigError(f"{place}: a live loop waits for no store; give a folder of this machine, and copy it later")
-
-
-LOCAL: PrimitiveConstructorSpec[Path] = PrimitiveConstructorSpec(
-    nargs=1, metavar="PATH", instance_from_str=local, is_instance=is_place, str_from_instance=lambda path: [str(path)]
-)
-LocalArg = Annotated[Path, LOCAL]
-"""A path on this machine; no URL."""
-
-
+RecordingsArg = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RECORDING ...")]
 MeshesArg = Annotated[tuple[str, ...], tyro.conf.arg(metavar="FOLDER|PACKAGE=FOLDER ...")]
 """Folders of the meshes that a URDF names."""
 AcceptArg = Annotated[tuple[str, ...], tyro.conf.arg(metavar="CODE[:JOINT] ...")]
@@ -60,7 +59,7 @@ JsonArg = Annotated[bool, tyro.conf.arg(name="json")]
 # --- Outputs that exist already: results are replaced, and a line on stderr names them before the work begins.
 
 
-def print_replaced(*outputs: Place) -> None:
+def print_replaced(*outputs: Path) -> None:
     """Print on stderr which of these files exist and will be replaced."""
     for path in outputs:
         if path.is_file():
@@ -74,16 +73,16 @@ if TYPE_CHECKING:
     from tauext._core import Bundle
 
 
-def expect_another(out: Place, source: Place, purpose: str) -> None:
+def expect_another(out: Path, source: Path, purpose: str) -> None:
     """Raises ConfigError where a bundle cannot be written there, or it is the source, which is there to `purpose`."""
     if out.suffix != ".tauext":
         raise ConfigError(f"{out}: a bundle's name ends in .tauext")
-    if same_place(out, source):
+    if out.exists() and source.exists() and out.samefile(source):
         raise ConfigError(f"{out}: it is the bundle to {purpose}, which stays as it is; choose another --out")
     expect_new_file(out)
 
 
-def write_another(new: Bundle, source: Place, out: Place) -> None:
+def write_another(new: Bundle, source: Path, out: Path) -> None:
     """Both files or none; those that are replaced are named on stderr."""
     print_replaced(out)
     out.parent.mkdir(parents=True, exist_ok=True)

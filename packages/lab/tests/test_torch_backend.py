@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from tauext_lab.own_network import core_parameters
 from test_train import prepared, recording
 
 from tauext import _core
@@ -17,9 +18,8 @@ from tauext.errors import ConfigError, TrainingError
 from tauext.fit.bundle_writing import make_bundle
 from tauext.fit.core_backend import CoreBackend
 from tauext.fit.network_training import make_backend, make_schedule, train_network
-from tauext.fit.network_weights import core_parameters
 
-BACKEND = "tauext.fit.torch_backend"
+BACKEND = "tauext_lab.torch_backend"
 RECIPES = {
     "paper": TrainConfig(recipe="paper", hidden=8, epochs=1000, batch=100, max_steps=200),
     "dense": TrainConfig(recipe="dense", hidden=8, targets=20, batch=50, max_steps=200),

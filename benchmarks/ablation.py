@@ -33,8 +33,10 @@ from tauext.data.recording import SIGNALS, Recording
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.files.provenance import VERSION
 from tauext.fit.tail import rate_interval
-from tauext.train.error_scale import Judged, collect_rows, fit_error_scale, paper_limits, set_limits
-from tauext.train.promised_limits import apply_promised, promised_limits
+from tauext.train.error_scale import Judged, collect_rows, fit_error_scale
+from tauext.train.held_peaks import collect_peaks
+from tauext.train.paper_limits import paper_limits, set_limits
+from tauext.train.promised_limits import promised_limits
 
 RATE_HZ = 200
 GAINS_PER_S = (20.0, 50.0)
@@ -174,7 +176,8 @@ def judged_bundles(path: Path, data: Path, split: Split) -> dict[str, _core.Bund
         if kind == "largest validation error":
             set_limits(bundle, paper_limits(bundle, validation, 1, MARGINS), replace(ALARM, collision_hold_s=0.0))
         else:
-            apply_promised(bundle, promised_limits(bundle, lambda: calibration, ALARM, 1, MARGINS), ALARM)
+            peaks = collect_peaks(bundle, calibration, ALARM.holds_s, 1, MARGINS)
+            promised_limits(bundle, peaks, ALARM).put(bundle, ALARM)
     return found
 
 

@@ -30,8 +30,9 @@ from tauext.config import AlarmConfig
 from tauext.data.dataset import Split, save_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
-from tauext.fit.tail import is_kept
-from tauext.train.calibrate import calibrate_bundle
+from tauext.fit.tail import is_kept, promised_per_hour
+from tauext.train.limits import LIMITS
+from tauext.train.paper_limits import LimitMotion
 
 SETS = {"train": (2, 0, 0), "calib0": (6, 10, 0), "later": (6, 16, 0), "test": (6, 5000, 0), "hits": (3, 5100, 50)}
 """Stretches of ten minutes, number of the first, touches in each."""
@@ -90,7 +91,7 @@ def judged(folder: Path) -> dict:
         return [lambda path=path: load_recording(path) for path in sorted(folder.glob(f"{label}-*.parquet"))]
 
     loaders = [lambda load=load: replace(load(), contact=None, tau_ext=None) for load in of("calib0")]
-    promised, _ = calibrate_bundle(bundle, "bundle", loaders, alarm, 2)
+    limits = LIMITS["promised"](bundle, LimitMotion("bundle", alarm, 2, calibration=loaders))
     kept = folder / "estimates"
     bundles = {"trained": load_bundle(path), "promised": bundle}  # the first one sets the sizes of the hits
     later = evaluate({"promised": bundle}, of("later"), [], kept, 0, 2, keep_free_estimates=0).bundles[0].free_motion
@@ -99,7 +100,7 @@ def judged(folder: Path) -> dict:
     one = results.bundles[1]
     assert one.latched is not None
     return {
-        "promised_per_hour": promised.budget.rate_per_hour,
+        "promised_per_hour": promised_per_hour(limits),
         "false_later": later.false_collisions,
         "hours_later": later.hours,
         "false": one.free_motion.false_collisions,
@@ -107,10 +108,10 @@ def judged(folder: Path) -> dict:
         "detected": one.latched.latched,
         "touches": one.latched.collisions,
         "hits": share_of_hits(one),
-        "largest_seen": [tail["largest_nm"] for tail in promised.tails.values()][::2],
+        "largest_seen": [tail["largest_nm"] for tail in limits["tails"].values()][::2],
         "limits": list(bundle.sliding_limit_nm),
         "hold_s": bundle.hold_s,
-        "suspects": getattr(promised, "suspects", 0),
+        "suspects": limits.get("suspects", 0),
     }
 
 

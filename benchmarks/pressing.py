@@ -49,7 +49,10 @@ from tauext.config import AlarmConfig
 from tauext.data.dataset import Split, save_split
 from tauext.data.recording_file import save_recording
 from tauext.fit.tail import is_kept, rate_interval
-from tauext.train.calibrate import calibrate_bundle, remove_checkpoint, write_calibrated
+from tauext.train.calibrate import write_calibrated
+from tauext.train.limits import LIMITS
+from tauext.train.paper_limits import LimitMotion
+from tauext.train.promised_limits import remove_checkpoint
 
 ARMS = ("rig", "seven_axis", "ur5")
 """On which the method was developed."""
@@ -105,10 +108,11 @@ def bundle_of(presser: Presser, folder: Path, hours: float = CALIBRATION_H) -> _
         if bundle.servo.on:  # recordings of servos go through import: its limits are those of the training's minutes
             return bundle
         loaders = sessions_in_air(presser, "calibration", round(60 * hours / SESSION_MIN))
-        found, limits = calibrate_bundle(bundle, "promised", loaders, AlarmConfig(), 1, out=Path(promised))
-        print(presser.maker.name, found.sentence(), flush=True)
-        write_calibrated(bundle, Path(promised), json.loads(bundle.provenance) | {"limits": limits}, started)
-        remove_checkpoint(Path(promised))
+        motion = LimitMotion("promised", AlarmConfig(), 1, calibration=loaders, out=promised)
+        limits = LIMITS["promised"](bundle, motion)
+        print(presser.maker.name, limits["sentence"], flush=True)
+        write_calibrated(bundle, promised, json.loads(bundle.provenance) | {"limits": limits}, started)
+        remove_checkpoint(promised)
     return load_bundle(promised)
 
 

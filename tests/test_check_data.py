@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,6 +25,7 @@ from tauext.errors import ConfigError, FaultyDataError
 from tauext.progress import Silent, WallTimes
 from tauext.robot.read import load_tree
 from tauext.train.calibrate import recalibrate
+from tauext.train.limits import LIMITS
 from tauext.train.stage import train_bundle
 
 OBSERVER = TrainConfig(recipe="observer", limits="paper")
@@ -222,8 +222,7 @@ def test_contacts_are_searched_for_beyond_the_share_that_all_checks_read(data, t
 
 def test_calibrate_checks_its_recordings_and_keeps_what_training_found(data, tmp_path, capsys, monkeypatch, unexamined):
     """Its 20 s of motion support no limits: no limits are searched for."""
-    found = SimpleNamespace(sentence=lambda: "found")
-    monkeypatch.setattr("tauext.train.calibrate.calibrate_bundle", lambda *a, **more: (found, {}))
+    monkeypatch.setitem(LIMITS, "promised", lambda bundle, motion: {"sentence": "found"})
     spoil(data, "one", tau=spike)
     bundle, out = tmp_path / "a.tauext", tmp_path / "b.tauext"
     assert train(data, bundle, "--accept", "spike") == 0

@@ -9,12 +9,11 @@ from made_arms import ROTOR_INERTIA, no_model, planar_arm, prismatic_mass, regul
 from sliding_mass import noisy
 
 from tauext import _core
-from tauext.config import AlarmConfig, FilterConfig, TrainConfig
+from tauext.config import FilterConfig, TrainConfig
 from tauext.errors import TrainingError
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.fit.training_set import Setup
-from tauext.train.error_scale import paper_limits
-from tauext.train.promised_limits import promised_limits
+from tauext.train.paper_limits import paper_limits
 
 GAIN, DURATION_S = 20.0, 2.0
 FINE = 20  # steps of the twin in a sample
@@ -159,8 +158,6 @@ def test_the_warm_up_of_a_recipe_counts_its_low_pass_and_messages_name_it():
     bundle = make_bundle("slow", setup, 0.02, longer)
     with pytest.raises(TrainingError, match="beyond the warm-up of 2.5 s, with 0.2 s before and 1 s after"):
         paper_limits(bundle, [made], 1)
-    with pytest.raises(TrainingError, match="beyond the warm-up of 2.5 s, with 0.2 s before and 1 s after"):
-        promised_limits(bundle, lambda: [made], AlarmConfig(), 1)
 
 
 def test_settings_are_the_plain_momentum_observer_unless_told():

@@ -17,16 +17,15 @@ from tauext.errors import ConfigError
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.train.calibrate import recalibrate
 from tauext.train.error_scale import (
-    BLUNT,
     FEATURES,
-    SHARP,
     ErrorRows,
+    ErrorScaleConfig,
     Judged,
     add_friction,
     collect_rows,
-    errors,
     fit_weights,
     freeze_floor_nm,
+    judge,
     put_constant_error,
     sigma_weights,
 )
@@ -71,7 +70,7 @@ def test_no_weight_is_negative_and_scaling_the_error_changes_nothing():
     features, sigma = made_rows()
     error = np.abs(sigma * np.random.default_rng(3).standard_normal(ROWS))
     falling = np.hstack([features, 1 / features[:, 1:2].clip(0.1)])
-    for power in (2.0, BLUNT, SHARP):
+    for power in (2.0, ErrorScaleConfig.blunt, ErrorScaleConfig.sharp):
         one, other = (fit_weights(falling, by * error, power) for by in (1.0, 1e3))
         assert (one >= 0).all() and one[0] > 0
         np.testing.assert_allclose(one / one[0], other / other[0], rtol=1e-3, atol=1e-6)
@@ -85,10 +84,10 @@ def test_a_sharp_scale_lowers_the_limit_that_rare_large_errors_set():
     uniform = rng.uniform(size=ROWS)
     error = np.where(rare > 0, 5.0 * uniform**16, uniform**2)
     usual = {}
-    for power in (2.0, SHARP):
+    for power in (2.0, ErrorScaleConfig.sharp):
         scale = features @ fit_weights(features, error, power)
         usual[power] = (error / scale).max() * np.median(scale)
-    assert usual[SHARP] < 0.8 * usual[2.0] and usual[SHARP] < 2
+    assert usual[ErrorScaleConfig.sharp] < 0.8 * usual[2.0] and usual[ErrorScaleConfig.sharp] < 2
 
 
 def test_the_drift_tracker_stands_still_in_as_much_of_the_motion_as_was_said():
@@ -119,7 +118,7 @@ def test_limits_follow_the_motion_and_sigma_covers_left_out_errors(tmp_path, mon
     new = noisy(4)
     said = _core.estimate(bundle, new.t_ns, new.q, new.dq, new.tau, 1)
     healthy = said["health"] == 1
-    assert facts["error_scale"]["power"] == BLUNT
+    assert facts["error_scale"]["power"] == ErrorScaleConfig.blunt
     for j in range(2):
         ratio = np.abs(said["tau_ext"][healthy, j]) / said["sigma_nm"][healthy, j]
         assert 0.6 < (ratio < 1).mean() < 0.76 and 0.9 < (ratio < 2).mean() < 0.98
@@ -238,18 +237,19 @@ def test_calibrate_keeps_the_scale_or_fits_it_to_recordings_apart_from_those_of_
 def test_the_error_in_a_span_does_not_depend_on_what_follows(tmp_path, monkeypatch):
     bundle, _ = trained(tmp_path, monkeypatch, [motion()], recipe="prior")
     one, part = motion(seed=1), slice(2_000, 3_000)
-    whole, until = (errors(bundle, judged, 1, FreeMotionConfig()) for judged in (one, Judged(one, part)))
-    assert len(until[0]) == part.stop and until[3][part].all() and not until[3][: part.start].any()
-    for a, b in zip(whole[:3], until[:3], strict=True):
-        np.testing.assert_array_equal(a[: part.stop], b)
+    whole, until = (judge(bundle, judged, 1, FreeMotionConfig()) for judged in (one, Judged(one, part)))
+    counted = until[3]
+    assert until[0].samples == part.stop and counted[part].all() and not counted[: part.start].any()
+    np.testing.assert_array_equal(whole[2][: part.stop], until[2])
+    for column, values in until[1].items():
+        np.testing.assert_array_equal(whole[1][column][: part.stop], values)
 
 
 def test_rows_that_were_thinned_out_tell_the_same_hours(tmp_path, monkeypatch):
     bundle, _ = trained(tmp_path, monkeypatch, [motion()], recipe="prior")
     recordings = [motion(seed=seed) for seed in range(4)]
     whole = collect_rows(bundle, recordings, 1, FreeMotionConfig())
-    monkeypatch.setattr("tauext.train.error_scale.MOST_ROWS", 6000)
-    thin = collect_rows(bundle, recordings, 1, FreeMotionConfig())
+    thin = collect_rows(bundle, recordings, 1, FreeMotionConfig(), ErrorScaleConfig(most_rows=6000))
     assert len(thin.error_nm) <= 6000 < 2 * len(thin.error_nm) + 4 and thin.period_s == 4 * whole.period_s
     assert thin.hours == pytest.approx(whole.hours, rel=1e-3)
 

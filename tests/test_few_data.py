@@ -17,11 +17,11 @@ from tauext.fit.bundle_writing import build_setup
 from tauext.fit.regression import NormalEquations, Regression, coupled
 from tauext.fit.torque_constants import TorqueConstants, fit_torque_constants, with_constants
 from tauext.monitor.estimate import estimate_recording
-from tauext.train.calibrate import calibrate_bundle
-from tauext.train.limits import factor_after, put_limits
+from tauext.train.limits import LIMITS, limit_findings, put_limits
+from tauext.train.paper_limits import LimitMotion
 from tauext.train.preparation import Given, training_motion, wants_constants
-from tauext.train.promised_limits import NOT_MEASURED, limit_findings
 from tauext.train.stage import train_on_recordings
+from tauext.train.supported_limits import NOT_MEASURED, factor_after
 
 RATE_HZ = 125.0
 EXACT = PAPER_CASES["exact"]
@@ -81,7 +81,7 @@ def test_one_recording_is_enough_and_the_run_file_says_how_it_was_used(tmp_path,
     bundle, facts = trained(tmp_path, monkeypatch, [motion()], recipe="prior")
     assert any("each fifth of the motion" in note for note in facts["notes"])
     assert facts["limits"]["minutes_factor"] > 1 and facts["error_scale"]["hours"] > 0
-    assert facts["limits"]["other_motion"] == {"sentence": NOT_MEASURED} and NOT_MEASURED in facts["notes"]
+    assert facts["limits"]["other_motion"] == NOT_MEASURED and NOT_MEASURED["sentence"] in facts["notes"]
     other = motion(seed=7)
     said = _core.estimate(bundle, other.t_ns, other.q, other.dq, other.tau, 1)
     healthy = said["health"] == 1
@@ -160,7 +160,7 @@ def test_a_joint_that_never_moves_beside_others_is_not_monitored(tmp_path, monke
     estimates = estimate_recording(bundle, moved)
     assert np.isinf(estimates.limit_nm[200:, 1]).all() and np.isfinite(estimates.limit_nm[200:, 0]).all()
     assert (np.abs(estimates.tau_ext[200:, 1]) > 20).any() and not estimates.held_alarm.any()
-    calibrate_bundle(bundle, "made", [lambda: locked[3]], AlarmConfig(), 1)
+    LIMITS["promised"](bundle, LimitMotion("made", AlarmConfig(), 1, calibration=[lambda: locked[3]]))
     assert bundle.monitored == [True, False] and np.isfinite(bundle.contact_sliding_limit_nm[0])
     assert main(["show", str(tmp_path / "made.tauext")]) == 0
     assert "not monitored                      elbow" in capsys.readouterr().out

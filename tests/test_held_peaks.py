@@ -9,15 +9,18 @@ from made_bundles import LIMIT_NM, pushed, watching_bundle
 from tauext import _core
 from tauext.bundle.estimates import FAULT
 from tauext.config import FreeMotionConfig
-from tauext.errors import ConfigError, TrainingError
-from tauext.fit.tail import held_minimum, hold_lengths
-from tauext.train.error_scale import errors, paper_limits
+from tauext.errors import TrainingError
+from tauext.train.error_scale import judge
 from tauext.train.held_peaks import (
-    PeakCollector,
-    cluster_peaks,
+    PeakConfig,
+    Peaks,
     collect_peaks,
-    separate_peaks,
+    count_episodes,
+    held_minimum,
+    hold_lengths,
+    peak_indices,
 )
+from tauext.train.paper_limits import paper_limits
 
 
 def slow_held_minimum(values, healthy, hold):
@@ -39,15 +42,10 @@ def test_held_minimum_equals_a_slow_loop(hold):
     rng = np.random.default_rng(hold)
     values, healthy = rng.exponential(size=700), rng.random(700) > 0.005
     values[rng.integers(700, size=3)] = np.nan
-    slow = slow_held_minimum(values, healthy, np.full(700, hold))
-    np.testing.assert_array_equal(held_minimum(values, healthy, hold), slow)
-    varying = rng.integers(0, hold + 1, 700)
-    np.testing.assert_array_equal(held_minimum(values, healthy, varying), slow_held_minimum(values, healthy, varying))
-
-
-def test_a_hold_of_no_samples_gives_the_error_itself_where_it_is_healthy():
-    np.testing.assert_array_equal(held_minimum([3.0, 1.0, 2.0], [True, False, True], 0), [3.0, np.nan, 2.0])
-    assert len(held_minimum([], [], 5)) == 0
+    joints = np.column_stack([values, values[::-1]])
+    for holds in (np.full(700, hold), rng.integers(0, hold + 1, 700)):  # regular stamps, and others
+        slow = [slow_held_minimum(of_joint, healthy, holds) for of_joint in joints.T]
+        np.testing.assert_array_equal(held_minimum(joints, healthy, holds), np.transpose(slow))
 
 
 def test_hold_lengths_follow_stamps_that_jitter_and_miss_samples():
@@ -81,7 +79,7 @@ def test_the_held_minimum_is_over_a_limit_exactly_while_the_cores_alarm_stands(h
     said = _core.Monitor(bundle).run(*samples)
     healthy = np.isfinite(said["tau_ext"]).all(axis=1)
     assert healthy.sum() > 5000
-    held = held_minimum(np.abs(said["tau_ext"][:, 0]), healthy, hold_lengths(samples[0], hold_s))
+    held = held_minimum(np.abs(said["tau_ext"]), healthy, hold_lengths(samples[0], hold_s))[:, 0]
     stands = said["alarm"] == 1
     assert (np.diff(stands.astype(int)) == 1).sum() > 20
     np.testing.assert_array_equal(held[healthy] > LIMIT_NM, stands[healthy])
@@ -98,20 +96,20 @@ def test_an_alarm_with_two_limits_rises_only_where_the_minimum_of_a_touched_regi
             run = run + 1 if tau[k] > limits[int(near[k])] else 0
             if run > hold:
                 alarms.append(k)
-        held = held_minimum(tau, np.ones(3000, dtype=bool), hold)
+        held = held_minimum(tau[:, None], np.ones(3000, dtype=bool), np.full(3000, hold))[:, 0]
         touched = [np.array([flags[max(0, k - hold) : k + 1].any() for k in range(3000)]) for flags in (~near, near)]
         counted = [touched[region] & (held > limits[region]) for region in range(2)]
         assert (counted[0] | counted[1])[alarms].all()
 
 
 def test_episodes_on_a_hand_made_series():
-    times = np.array([0.0, 0.1, 0.2, 0.7, 1.3, 1.8, 5.0])
+    t_ns = np.array([0, 100, 200, 700, 1300, 1800, 5000]) * 1_000_000
     values = np.array([1.0, 3.0, 0.5, 2.0, 4.0, 1.5, np.nan])
     # Over 0.9: 0.0, 0.1 | 0.7 (0.6 later) | 1.3 (0.6 later) | 1.8 (0.5 later, so not less than the gap apart).
-    np.testing.assert_array_equal(cluster_peaks(values, times, 0.5, 0.9), [3.0, 2.0, 4.0, 1.5])
+    assert count_episodes(values, t_ns, 0.9) == 4
     # Over 0.4 also 0.2, which links 0.1 to 0.7; and 0.5 s are less than 0.55.
-    np.testing.assert_array_equal(cluster_peaks(values, times, 0.55, 0.4), [3.0, 4.0])
-    assert len(cluster_peaks(values, times, 0.5, 9.0)) == 0
+    assert count_episodes(values, t_ns, 0.4, gap_s=0.55) == 2
+    assert count_episodes(values, t_ns, 9.0) == 0
 
 
 def test_separate_peaks_equal_a_slow_loop_and_lie_a_gap_apart():
@@ -127,22 +125,16 @@ def test_separate_peaks_equal_a_slow_loop_and_lie_a_gap_apart():
             before, after = values[near[near < k]], values[near[near > k]]
             if not (before >= values[k]).any() and not (after > values[k]).any():
                 slow.append(k)
-        np.testing.assert_array_equal(separate_peaks(values, t_ns, 0.5, floor), values[slow])
+        np.testing.assert_array_equal(peak_indices(values, t_ns, floor), slow)
         assert (np.diff(t_ns[slow]) >= 500_000_000).all()
 
 
 def test_over_every_level_there_are_at_least_as_many_separate_peaks_as_episodes():
-    rng = np.random.default_rng(3)
     t_ns = np.arange(20_000) * 25_000_000
-    values = noise(rng, 20_000)
-    peaks = separate_peaks(values, t_ns)
-    low = cluster_peaks(values, t_ns * 1e-9, floor=0.0)
-    missed = False
+    values = noise(np.random.default_rng(3), 20_000)
+    peaks = values[peak_indices(values, t_ns)]
     for level in np.linspace(0, values.max(), 60)[:-1]:
-        episodes = len(cluster_peaks(values, t_ns * 1e-9, floor=level))
-        assert (peaks > level).sum() >= episodes
-        missed |= (low > level).sum() < episodes
-    assert missed  # what largest values of episodes over a low floor would do
+        assert (peaks > level).sum() >= count_episodes(values, t_ns, level)
 
 
 def parts(seed, count=6, samples=4000):
@@ -156,14 +148,13 @@ def parts(seed, count=6, samples=4000):
         yield np.arange(samples) * 10_000_000, tau, near, healthy
 
 
-def test_a_collector_keeps_the_largest_peaks_in_whatever_order_recordings_come():
-    collectors = [PeakCollector(["a", "b"], 0.02, keep=keep) for keep in (10**6, 25, 25)]
+def test_the_largest_peaks_are_kept_in_whatever_order_recordings_come():
+    every, some, again = (Peaks(["a", "b"], 0.02, PeakConfig(keep=keep)) for keep in (10**6, 25, 25))
     recordings = list(parts(5))
     for recording, backwards in zip(recordings, reversed(recordings), strict=True):
-        collectors[0].add(*recording)
-        collectors[1].add(*recording)
-        collectors[2].add(*backwards)
-    every, some, again = (collector.peaks() for collector in collectors)
+        every.add("", *recording)
+        some.add("", *recording)
+        again.add("", *backwards)
     for joint in range(2):
         for region in range(2):
             assert len(every.nm[joint][region]) > 100
@@ -190,7 +181,7 @@ def slow_peaks(parts, hold_s, gap_ns=500_000_000):
 
 @pytest.mark.parametrize("hold_s", [0.0, 0.01, 0.05])
 @pytest.mark.parametrize("regular", [True, False])
-def test_a_collectors_peaks_equal_a_slow_loop_with_and_without_a_floor(hold_s, regular):
+def test_the_peaks_equal_a_slow_loop_with_and_without_a_floor(hold_s, regular):
     rng = np.random.default_rng(7)
     recordings = list(parts(7, count=4, samples=2500))
     if not regular:  # jitter and missing samples
@@ -200,14 +191,12 @@ def test_a_collectors_peaks_equal_a_slow_loop_with_and_without_a_floor(hold_s, r
         ]
     slow = slow_peaks(recordings, hold_s)
     for keep_peaks in (10**6, 15):
-        collector = PeakCollector(["a", "b"], hold_s, keep=keep_peaks)
+        peaks = Peaks(["a", "b"], hold_s, PeakConfig(keep=keep_peaks))
         for recording in recordings:
-            collector.add(*recording)
+            peaks.add("", *recording)
         for joint in range(2):
             for region in range(2):
-                np.testing.assert_array_equal(
-                    collector.peaks().nm[joint][region], slow[joint][region][:keep_peaks], strict=True
-                )
+                np.testing.assert_array_equal(peaks.nm[joint][region], slow[joint][region][:keep_peaks], strict=True)
         assert min(len(nm) for of_joint in slow for nm in of_joint) > 30
 
 
@@ -223,10 +212,9 @@ def test_the_number_of_threads_changes_no_peak():
 
 
 def test_hours_are_those_of_healthy_steps_and_regions_share_them():
-    collector = PeakCollector(["a", "b"], 0.0)
+    peaks = Peaks(["a", "b"], 0.0)
     for part in parts(6, count=2):
-        collector.add(*part)
-    peaks = collector.peaks()
+        peaks.add("", *part)
     # Of 4000 samples the first 100 are not healthy and 50 others: two runs of 1900 and 1950 samples.
     assert peaks.hours == pytest.approx(2 * (1899 + 1949) * 0.01 / 3600, rel=1e-12)
     np.testing.assert_allclose(peaks.region_hours.sum(axis=1), peaks.hours, rtol=1e-12)
@@ -235,19 +223,23 @@ def test_hours_are_those_of_healthy_steps_and_regions_share_them():
 def test_a_window_with_samples_of_both_regions_counts_for_both():
     tau = np.array([0, 0, 0, 5, 5, 5, 5, 0, 0, 0.0])[:, None]
     near = np.array([0, 0, 0, 0, 0, 1, 1, 1, 1, 1], dtype=bool)[:, None]
-    collector = PeakCollector(["a"], 0.03)
-    collector.add(np.arange(10) * 10_000_000, tau, near, np.ones(10, dtype=bool))
-    assert [list(nm) for nm in collector.peaks().nm[0]] == [[5.0], [5.0]]
+    peaks = Peaks(["a"], 0.03)
+    peaks.add("", np.arange(10) * 10_000_000, tau, near, np.ones(10, dtype=bool))
+    assert [list(nm) for nm in peaks.nm[0]] == [[5.0], [5.0]]
 
 
 def test_without_hold_the_largest_peaks_are_the_papers_limits():
     bundle = watching_bundle()
     recordings = [pushed(f"swing-{k}", pushes=((2.0 + k, 0, 3.0 + k), (3.5, 1, 2.0))) for k in range(3)]
     held, peaks = collect_peaks(bundle, iter(recordings), holds_s=(0.01, 0.0), threads=1)
-    limits = paper_limits(bundle, recordings, threads=1)
-    largest = np.array([[nm.max(initial=0) for nm in joint] for joint in peaks.nm])
-    np.testing.assert_array_equal(largest[:, 0], limits.sliding_nm)
-    np.testing.assert_array_equal(largest.max(axis=1), limits.near_stiction_nm)
+    sliding, both = paper_limits(bundle, recordings, threads=1)
+    np.testing.assert_array_equal(peaks.largest_nm[:, 0], sliding)
+    np.testing.assert_array_equal(peaks.largest_nm.max(axis=1), both)
+    found = [judge(bundle, one, 1, FreeMotionConfig()) for one in recordings]
+    every = [(error[counted], estimates["near_stiction"][counted] == 1) for _, estimates, error, counted in found]
+    slid = [np.where(near, 0, error).max(axis=0) for error, near in every]
+    np.testing.assert_array_equal(sliding, np.max(slid, axis=0))
+    np.testing.assert_array_equal(both, np.max([error.max(axis=0) for error, _ in every], axis=0))
     assert (held.joints, held.hold_s, peaks.hold_s) == (("shoulder", "elbow"), 0.01, 0.0)
     assert all((held.nm[j][0][:1] < peaks.nm[j][0][:1]).all() for j in range(2))
 
@@ -265,31 +257,16 @@ def test_contacts_are_left_out_and_recordings_without_a_healthy_sample_refused()
         collect_peaks(bundle, [pushed("short", seconds=0.3, pushes=())], (0.0,), threads=1)
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: held_minimum(np.ones(3), np.ones(2, bool), 1), r"shapes \(3,\), \(2,\) and \(\); they must be equal"),
-        (lambda: held_minimum(np.ones(3), np.ones(3, bool), -1), "hold_samples = -1 must be >= 0"),
-        (lambda: PeakCollector(["a"], -0.1), "hold_s = -0.1 must be 0 to 60"),
-        (lambda: PeakCollector(["a"], 0.0, gap_s=0.0), "gap_s = 0.0 must be > 0"),
-        (lambda: PeakCollector(["a"], 0.0, keep=0), "keep = 0 must be >= 1"),
-    ],
-)
-def test_bad_input_is_named(call, message):
-    with pytest.raises(ConfigError, match=message):
-        call()
-
-
 def test_samples_of_a_saturated_drive_count_since_an_alarm_may_rise_there_and_a_still_encoders_do_not():
     made, bundle = pushed(pushes=()), watching_bundle()
     tau, dq, still = made.tau.copy(), made.dq.copy(), made.q.copy()
     tau[2000:2050] += 30.0
     saturated = replace(made, tau=tau)
-    whole = errors(bundle, saturated, 1, FreeMotionConfig())[3]
+    whole = judge(bundle, saturated, 1, FreeMotionConfig())[3]
     bundle.torque_limit_nm = [20.0, 20.0]
     said = _core.estimate(bundle, made.t_ns, made.q, made.dq, tau, 1)
     assert (said["health"] == FAULT).sum() == 50 and whole[2000:2050].all()
-    np.testing.assert_array_equal(errors(bundle, saturated, 1, FreeMotionConfig())[3], whole)
+    np.testing.assert_array_equal(judge(bundle, saturated, 1, FreeMotionConfig())[3], whole)
     still[3000:3500], dq[3000:3500] = still[3000], 1.0
-    frozen = errors(watching_bundle(), replace(made, q=still, dq=dq), 1, FreeMotionConfig())[3]
+    frozen = judge(watching_bundle(), replace(made, q=still, dq=dq), 1, FreeMotionConfig())[3]
     assert whole[3400] and not frozen[3400]

@@ -17,7 +17,8 @@ from tauext.data.recording import Recording
 from tauext.errors import TrainingError
 from tauext.fit.training_set import signal_bounds
 from tauext.monitor.explanation import signals
-from tauext.train.calibrate import calibrate_bundle
+from tauext.train.limits import LIMITS
+from tauext.train.paper_limits import LimitMotion
 
 PERIOD_NS = 8_000_000
 BOUNDS = SignalBounds(np.array([300.0, 200.0]), np.array([10.0, 10.0]))
@@ -178,16 +179,21 @@ def test_calibration_recordings_leave_them_out_and_tell(tmp_path, monkeypatch):
     bundle, _ = trained(tmp_path, monkeypatch, [motion()], recipe="observer")
     made = motion(seconds=200.0, seed=7, name="hours")
     bad = with_values(made, "tau", {(9000, 1): -1e300, (15000, 0): 1e5})
-    limits, listener = [], Listener()
+    limits, said = [], []
+
+    def put(recording):
+        motion = LimitMotion("x", AlarmConfig(), 1, note=said.append, calibration=[lambda: recording])
+        return LIMITS["promised"](bundle, motion)
+
     for recording in (made, bad):
-        _, facts = calibrate_bundle(bundle, "x", [lambda one=recording: one], AlarmConfig(), 1, report=listener)
+        facts = put(recording)
         limits.append(bundle.sliding_limit_nm)
     np.testing.assert_allclose(limits[1], limits[0], rtol=0.05)
     assert facts["impossible"]["samples"] == 2 and facts["impossible"]["of"] == 25000
-    assert len(listener.said) == 1 and "elbow's torque of -1e+300 at 72 s of 'hours'" in listener.said[0]
+    assert len(said) == 1 and "elbow's torque of -1e+300 at 72 s of 'hours'" in said[0]
     flood = with_values(made, "tau", {(k, 1): 1e7 for k in range(2000, 2100)})
     with pytest.raises(TrainingError, match="100 of 25000 samples of the calibration recordings are impossible"):
-        calibrate_bundle(bundle, "x", [lambda: flood], AlarmConfig(), 1)
+        put(flood)
 
 
 def test_numbers_of_a_fault_stay_readable(tmp_path, monkeypatch, capsys):

@@ -14,7 +14,7 @@ from tauext.errors import TauextError
 from tauext.fit.bundle_writing import build_setup, make_bundle, set_signal_ranges
 from tauext.fit.network_training import TrainedNetwork
 from tauext.fit.training_set import Scaling, find_scaling
-from tauext.train.error_scale import LevelLimits, set_limits
+from tauext.train.paper_limits import set_limits
 
 HIDDEN, GAIN_PER_S = 20, 20.0
 
@@ -39,7 +39,7 @@ def bundle_of_real_size() -> tuple[_core.Bundle, Scaling]:
     bundle = make_bundle("random", setup, 0.02, made, scaling, network)
     healthy = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)["tau_ext"][1000:]
     largest = np.abs(healthy).max(axis=0)
-    set_limits(bundle, LevelLimits(1.05 * largest, 1.1 * largest), AlarmConfig())
+    set_limits(bundle, np.array([1.05 * largest, 1.1 * largest]), AlarmConfig())
     set_signal_ranges(bundle, [made])
     return bundle, scaling
 

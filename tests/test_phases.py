@@ -398,22 +398,22 @@ def test_run_and_calibrate_report_times_beyond_the_end(arm, tmp_path, capsys):
 
 
 def test_the_spread_is_the_least_without_a_false_collision(arm, tool):
-    from tauext.train.declared_spread import TRIED, needed, put_spread, with_tool_forces
+    from tauext.train.declared_spread import SpreadConfig, needed, put_spread, with_tool_forces
 
     bundle, free = arm
     presses = pressed(free, tool, 25.0, 2000, 5000)
     contacts = [(declared(), 0, np.inf)]
-    assert needed(bundle, presses, contacts)[0] == TRIED[0]
+    assert needed(bundle, presses, contacts)[0] == SpreadConfig.tried[0]
     # Torque constants that are wrong by more than one standard error need more.
     off = replace(presses, tau=free.tau + (presses.tau - free.tau) * [1.6, 0.5, 1.6, 0.5, 1.6, 1])
     more, hours = needed(bundle, off, contacts)
-    assert more > TRIED[0] and 0.5 < hours * 3600 / 3.0 < 1.1
+    assert more > SpreadConfig.tried[0] and 0.5 < hours * 3600 / 3.0 < 1.1
     own = _core.Bundle.from_bytes(bundle.to_bytes())
     found = put_spread(own, [(off, contacts)], injected=False)
     assert own.declared_spread == found.spread == more >= 3.0 and "no false collision" in found.sentence()
     assert own.declared_spread != bundle.declared_spread
     few = put_spread(own, [(presses, contacts)], injected=False)  # three seconds lower nothing
-    assert (few.needed, few.spread) == (TRIED[0], 3.0)
+    assert (few.needed, few.spread) == (SpreadConfig.tried[0], 3.0)
     # A hit that no spread excuses is refused.
     hit = pressed(free, tool, 25.0, 2000, 5000, hit_nm=60.0)
     with pytest.raises(ConfigError, match="press: the declared contact leaves torques over the limits"):

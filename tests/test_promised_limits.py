@@ -17,8 +17,9 @@ from tauext.fit.network_training import TrainedNetwork, apply_gate
 from tauext.fit.tail import FalseAlarmBudget
 from tauext.fit.training_set import find_scaling
 from tauext.train.error_scale import FEATURES, ErrorRows
-from tauext.train.held_peaks import cluster_peaks
-from tauext.train.promised_limits import apply_promised, most_seen, other_motion, promised_limits
+from tauext.train.held_peaks import collect_peaks, count_episodes
+from tauext.train.promised_limits import LimitsConfig, PromisedLimits, most_seen, promised_limits
+from tauext.train.supported_limits import other_motion
 
 BUDGET = AlarmConfig(false_alarms=1, in_hours=0.02, contacts_an_hour=600)
 
@@ -40,21 +41,26 @@ def observer(recipe="observer") -> _core.Bundle:
     return make_bundle("observer", setup, 0.02, made)
 
 
+def found_by(bundle: _core.Bundle, recordings, alarm: AlarmConfig, **config) -> PromisedLimits:
+    peaks = collect_peaks(bundle, recordings, alarm.holds_s, 1)
+    return promised_limits(bundle, peaks, alarm, LimitsConfig(**config))
+
+
 def alarms_of(bundle: _core.Bundle, least: int) -> int:
     """Alarms of this level or above in six other minutes."""
     alarms = 0
     for k in range(10, 16):
         made = noisy(k)
         said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
-        alarms += len(cluster_peaks((said["held_alarm"] >= least).astype(float), made.time_s, floor=0.5))
+        alarms += count_episodes(said["held_alarm"], made.t_ns, floor=least - 0.5)
     return alarms
 
 
 def test_the_promised_rate_is_kept_on_recordings_that_were_not_calibrated_on():
     bundle = observer()
-    found = promised_limits(bundle, lambda: (noisy(k) for k in range(1, 6)), BUDGET, 1)
+    found = found_by(bundle, map(noisy, range(1, 6)), BUDGET)
     assert found.promise.is_supported and found.budget == found.promise.asked and "supported" in found.sentence()
-    apply_promised(bundle, found, BUDGET)
+    found.put(bundle, BUDGET)
     assert bundle.hold_s == found.hold_s and bundle.contact_hold_s == 0
     assert bundle.contact_sliding_limit_nm[0] <= bundle.sliding_limit_nm[0] <= bundle.near_stiction_limit_nm[0]
     # 0.1 h at 50 an hour are 5 alarms at most; 12 would be seen in less than 1 of 100 such tests.
@@ -70,12 +76,12 @@ def pushed(seed: int, at_s: float = 41.3, labelled: bool = False) -> Recording:
     return replace(made, tau=made.tau - 60.0 * push[:, None], contact=contact)
 
 
-MINUTES = {"level_confidence": 0.5, "at_most_seen": True}
+MINUTES = {"confidence": 0.5, "at_most_seen": True}
 
 
 def of_five(third: Recording, alarm: AlarmConfig, settings: dict, *others: Recording):
     recordings = [noisy(1), noisy(2), third, noisy(4), noisy(5), *others]
-    return promised_limits(observer(), lambda: recordings, alarm, 1, **settings)
+    return found_by(observer(), recordings, alarm, **settings)
 
 
 def test_a_moment_that_sets_a_limit_is_named_with_the_limit_without_it():
@@ -84,7 +90,7 @@ def test_a_moment_that_sets_a_limit_is_named_with_the_limit_without_it():
     (moment,) = carried.moments
     assert (moment.joint, moment.recording) == ("slide", "noisy-3") and 41.3 <= moment.time_s <= 41.6
     r = ("sliding", "near_stiction").index(moment.region)
-    of_region = [(found.collision.sliding_nm, found.collision.near_stiction_nm)[r][0] for found in (carried, labelled)]
+    of_region = [found.collision[r][0] for found in (carried, labelled)]
     assert moment.limit_nm == of_region[0] > 20  # the push less what K0 hides of 0.2 s
     # 1.2 s of 5 minutes fewer peaks, and the hold time may differ
     assert moment.without_nm == pytest.approx(of_region[1], rel=0.1)
@@ -100,7 +106,7 @@ def test_one_push_hardly_moves_limits_from_minutes():
     """Even odds allow that the largest peak was chance; a push of 60 Nm, seven times the noise, is one peak."""
     touched, labelled = (of_five(third, AlarmConfig(), MINUTES) for third in (pushed(3), pushed(3, labelled=True)))
     assert not touched.moments
-    assert 1 <= touched.collision.sliding_nm[0] / labelled.collision.sliding_nm[0] < 1.4
+    assert 1 <= touched.collision[0][0] / labelled.collision[0][0] < 1.4
 
 
 def test_one_event_alone_raises_a_limit_from_minutes_by_the_root_of_its_size():
@@ -110,7 +116,7 @@ def test_one_event_alone_raises_a_limit_from_minutes_by_the_root_of_its_size():
     bundle, settings = observer(), MINUTES
 
     def sliding(*recordings: Recording) -> float:
-        return float(promised_limits(bundle, lambda: recordings, AlarmConfig(), 1, **settings).collision.sliding_nm[0])
+        return float(found_by(bundle, recordings, AlarmConfig(), **settings).collision[0][0])
 
     # The push reaches 30 Nm on top of some 3 Nm of noise, whose largest peaks of four minutes are 8 Nm.
     once, twice = pushed(3, at_s=9.0), pushed(3, at_s=9.0)
@@ -123,8 +129,8 @@ def test_one_event_alone_raises_a_limit_from_minutes_by_the_root_of_its_size():
 def test_contacts_keep_their_rate_where_collisions_take_a_hold_time():
     """The direct residual of white torque: a few milliseconds lower its limits many times."""
     bundle = observer("direct")
-    found = promised_limits(bundle, lambda: (noisy(k) for k in range(1, 6)), BUDGET, 1)
-    apply_promised(bundle, found, BUDGET)
+    found = found_by(bundle, map(noisy, range(1, 6)), BUDGET)
+    found.put(bundle, BUDGET)
     assert bundle.contact_hold_s == bundle.hold_s > 0
     # 0.1 h at 600 an hour are 60; 90 would be seen in less than 1 of 1000 such tests.
     assert alarms_of(bundle, 1) < 90
@@ -132,16 +138,16 @@ def test_contacts_keep_their_rate_where_collisions_take_a_hold_time():
 
 def test_limits_with_even_odds_keep_the_supported_budget_about():
     bundle, asked = observer(), replace(BUDGET, in_hours=8.0)
-    sure = promised_limits(bundle, lambda: [noisy(1)], asked, 1)
-    even = promised_limits(bundle, lambda: [noisy(1)], asked, 1, level_confidence=0.5)
-    assert even.budget == sure.budget and even.collision.sliding_nm < sure.collision.sliding_nm
-    apply_promised(bundle, even, asked)
+    sure = found_by(bundle, [noisy(1)], asked)
+    even = found_by(bundle, [noisy(1)], asked, confidence=0.5)
+    assert even.budget == sure.budget and even.collision[0] < sure.collision[0]
+    even.put(bundle, asked)
     # 6 minutes at 1 in 20 s are 18; a level of even odds is crossed up to twice as often on average.
     assert 1 < alarms_of(bundle, 2) < 50
 
 
 def test_too_little_calibration_is_refused_and_says_how_much_more():
-    found = promised_limits(observer(), lambda: [noisy(1)], replace(BUDGET, in_hours=8.0), 1)
+    found = found_by(observer(), [noisy(1)], replace(BUDGET, in_hours=8.0))
     assert not found.promise.is_supported and found.budget == found.promise.supported
     assert "cannot be promised" in found.sentence() and "24 h in all" in found.sentence()
 
@@ -149,7 +155,7 @@ def test_too_little_calibration_is_refused_and_says_how_much_more():
 def test_recordings_of_contacts_alone_are_refused():
     touched = noisy(1, contact=np.ones(60_000, dtype=np.int8))
     with pytest.raises(TrainingError, match="limits need free motion"):
-        promised_limits(observer(), lambda: [touched], BUDGET, 1)
+        found_by(observer(), [touched], BUDGET)
 
 
 @pytest.mark.parametrize("weight, opened", [(0.0, False), (0.7, True)])
@@ -195,8 +201,8 @@ def rows_of(recordings: int, seconds: float, peaks: dict[int, int], seed: int = 
 
 def judged_in_turn(rows: ErrorRows, reserve=None):
     budget = FalseAlarmBudget(1.0, rows.hours / 3)
-    promised = replace(promised_limits(observer(), lambda: [noisy(1)], BUDGET, 1), budget=budget, hold_s=0.0)
-    return other_motion(rows, ["slide"], promised, 0.5, 1.2, reserve)
+    promised = replace(found_by(observer(), [noisy(1)], BUDGET), budget=budget, hold_s=0.0)
+    return other_motion(rows, ["slide"], promised, LimitsConfig(**MINUTES), 1.2, reserve)
 
 
 def test_recordings_left_out_in_turn_predict_false_alarms_in_another_kind_of_motion():

@@ -1,6 +1,5 @@
 """Touches that nobody reported: found in motion with forces put into it by the Jacobian, and errors that are none."""
 
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +14,9 @@ from tauext import _core
 from tauext.config import PAPER_CASES, AlarmConfig, PriorConfig, TrainConfig
 from tauext.data.free_motion import cut, free_samples
 from tauext.data.labels import Label
-from tauext.train.calibrate import calibrate_bundle
+from tauext.fit.tail import promised_per_hour
+from tauext.train.limits import LIMITS
+from tauext.train.paper_limits import LimitMotion
 from tauext.train.preparation import Given
 from tauext.train.stage import accepted_settings, train_on_recordings
 from tauext.train.suspects import are_same, search, suspect_level, suspect_sentences, without_suspects
@@ -140,26 +141,18 @@ def test_training_leaves_the_touch_out_and_counts_it_in_the_promise(motion, clea
 def test_calibration_gives_the_promise_with_and_without_suspects(motion, clean):
     bundle = _core.Bundle.from_bytes(clean.to_bytes())
     heard = []
-
-    class Listener:
-        def say(self, words):
-            heard.append(words)
-
-        def progress(self, title):
-            return nullcontext(lambda *_: None)
-
     parts = [cut(motion, slice(0, 40_000)), cut(motion, slice(40_000, 80_000))]
-    free, _ = calibrate_bundle(bundle, "x", [lambda one=one: one for one in parts], AlarmConfig(), 1)
+    loaders = [lambda: parts[0], lambda: parts[1]]
+    limits = LimitMotion("x", AlarmConfig(), 1, note=heard.append, calibration=loaders)
+    LIMITS["promised"](bundle, limits)
+    free = bundle.sliding_limit_nm
     parts[1] = touched(parts[1], clean, at_s=20.0, newtons=60.0)
-    found, facts = calibrate_bundle(
-        bundle, "x", [lambda one=one: one for one in parts], AlarmConfig(), 1, report=Listener()
-    )
-    assert found.suspects == facts["suspects"] == facts["suspected"]["count"] == 1
-    hours = found.promise.hours  # of a single touch or none, at 95 % [Garwood1936]
-    assert found.budget.rate_per_hour == pytest.approx(gammaincinv(1, 0.95) / hours)
+    facts = LIMITS["promised"](bundle, limits)
+    assert facts["suspects"] == facts["suspected"]["count"] == 1
+    hours = facts["promise"]["calibration_hours"]  # of a single touch or none, at 95 % [Garwood1936]
+    assert promised_per_hour(facts) == pytest.approx(gammaincinv(1, 0.95) / hours)
     assert facts["bound_per_hour"] == pytest.approx(gammaincinv(2, 0.95) / hours)
-    assert (
-        "1 suspected touch is left out: at most 1 in" in found.sentence() and "if it was none, 1 in" in found.sentence()
-    )
-    np.testing.assert_allclose(found.collision.sliding_nm, free.collision.sliding_nm, rtol=0.15)
+    assert "1 suspected touch is left out: at most 1 in" in facts["sentence"]
+    assert "if it was none, 1 in" in facts["sentence"]
+    np.testing.assert_allclose(bundle.sliding_limit_nm, free, rtol=0.15)
     assert any(one.startswith("1 suspected touch") for one in heard)

@@ -5,7 +5,6 @@ import math
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 from scipy.stats import binom, genpareto
 
 from tauext.errors import ConfigError, TrainingError
@@ -13,19 +12,16 @@ from tauext.fit.limits_together import TailCurve, rates_together
 from tauext.fit.tail import (
     GOODNESS_P,
     GOODNESS_SHAPES,
-    SHAPE_SPREAD,
     SHAPES,
-    USUAL_SHAPE,
     FalseAlarmBudget,
     Tail,
+    TailConfig,
     TooFewPeaks,
     fit_excess,
     fit_tail,
     goodness,
-    is_kept,
     upper_rate,
 )
-from tauext.train.held_peaks import PeakCollector, cluster_peaks, held_minimum
 
 
 @pytest.mark.parametrize("shape", [-0.4, -0.1, 0.0, 0.3])
@@ -84,7 +80,7 @@ def test_the_posterior_is_that_of_a_plain_sum_over_shape_and_scale():
     shapes, scales = np.linspace(-0.9, 1.0, 400)[1:-1] + 1e-3, np.linspace(0.5, 6, 200)  # none next to a shape of 0
     with np.errstate(divide="ignore"):
         logs = np.array([[genpareto_sum(excess, x, s) - math.log(s) for s in scales] for x in shapes])
-    logs -= (np.maximum(shapes - USUAL_SHAPE, 0) / SHAPE_SPREAD)[:, None] ** 2 / 2
+    logs -= (np.maximum(shapes - TailConfig.usual_shape, 0) / TailConfig.shape_spread)[:, None] ** 2 / 2
     weight = np.exp(logs - logs.max())
     # Far out, a rate is that of few shapes, which even draws meet coarsely.
     for reach, within in ((3.0, 0.02), (8.0, 0.05), (20.0, 0.2)):
@@ -134,40 +130,6 @@ def test_peaks_that_are_no_tail_are_called_a_misfit():
     tail = fit_tail(lumps, 1.0)
     assert not tail.fits and tail.goodness_p < 0.01
     assert TailCurve(tail, 0).level(0.01) > 9
-
-
-@pytest.mark.parametrize("hold", [0, 3])
-def test_limits_from_two_hours_keep_the_promise_of_an_arm_for_twenty(hold):
-    """Two joints of AR(1) noise, rougher near stiction, from calibration to alarms counted one sample at a time."""
-    rate_hz, samples = 50.0, 90_000
-
-    def half_hour(rng):
-        noise = lfilter([1], [1, -0.9], rng.normal(size=(samples, 2)), axis=0)
-        near = np.repeat(rng.random((samples // 100, 2)) < 0.3, 100, axis=0)
-        return np.arange(samples) * round(1e9 / rate_hz), np.where(near, 1.5, 1.0) * noise, near
-
-    collector = PeakCollector(["a", "b"], hold / rate_hz)
-    for seed in range(4):
-        collector.add(*half_hour(np.random.default_rng([hold, seed])), np.ones(samples, dtype=bool))
-    peaks, budget = collector.peaks(), FalseAlarmBudget(1, 2 / 3)
-    assert peaks.hours == pytest.approx(2, rel=1e-4)
-    tails = [[fit_tail(peaks.nm[j][g], peaks.hours) for g in range(2)] for j in range(2)]
-    rates = rates_together(tails, budget, 0.95, np.eye(2), peaks.region_hours)
-    limits = np.array([[TailCurve(tails[j][g], 2 * j + g).level(rates[j, g]) for g in range(2)] for j in range(2)])
-    assert (limits[:, 1] > limits[:, 0]).all()
-    alarms = alarms_in_calibration = 0
-    for seed in range(44):
-        t_ns, tau_ext, near = half_hour(np.random.default_rng([hold, seed]))
-        margin = np.abs(tau_ext) / np.where(near, limits[:, 1], limits[:, 0])
-        healthy = np.ones(samples, dtype=bool)
-        held = np.stack([held_minimum(margin[:, j], healthy, hold) for j in range(2)]).max(axis=0)
-        found = len(cluster_peaks(held, t_ns * 1e-9, floor=1.0))
-        alarms += found if seed >= 4 else 0
-        alarms_in_calibration += found if seed < 4 else 0
-    assert alarms_in_calibration <= 3  # what two hours allow
-    assert is_kept(alarms, 20.0, budget.rate_per_hour)
-    largest = np.array([[peaks.nm[j][g][0] for g in range(2)] for j in range(2)])
-    assert (limits < 1.4 * largest).all()  # limits of no use would keep any promise
 
 
 def test_the_same_peaks_in_any_order_give_the_same_bytes():
@@ -271,16 +233,3 @@ def test_the_budget_goes_to_the_joint_that_decides_and_is_kept_whole():
     # A joint that never moves near stiction needs no budget there.
     sliding = rates_together(tails, budget, 0.5, np.eye(3), np.column_stack([np.full(3, 6.0), np.zeros(3)]))
     assert (sliding[:, 1] < 0.3 * sliding[:, 0]).all()
-
-
-def test_one_confidence_for_the_arm_is_lower_limits_than_one_for_each_joint():
-    """The old rule, a twelfth of the budget each at 95 %, for comparison: its limits are above those of the sum."""
-    rng = np.random.default_rng(2)
-    tails, hours = arm_of(rng, 6.0, np.full((6, 2), 0.1), 100.0), np.full((6, 2), 3.0)
-    together = levels_of(tails, rates_together(tails, FalseAlarmBudget(1, 2.0), 0.95, np.eye(6), hours))
-    grid = np.linspace(2, 60, 2000)
-    alone = np.array([
-        [grid[np.argmax(np.quantile(drawn(tail, *grid), 0.95, axis=0) < 0.5 / 12)] for tail in of_joint]
-        for of_joint in tails
-    ])  # fmt: skip
-    assert np.log(together / alone).mean() < -0.05

@@ -26,7 +26,8 @@ from tauext.fit.network_training import (
 )
 from tauext.fit.training_set import build_windows, find_scaling
 from tauext.recipes import RECIPES
-from tauext.train.error_scale import paper_limits, with_outputs
+from tauext.train.error_scale import with_outputs
+from tauext.train.paper_limits import paper_limits
 
 SMALL = ObserverConfig(window_s=0.1)  # windows of ten network steps
 
@@ -233,11 +234,8 @@ def test_a_bundle_says_of_a_recording_what_the_network_was_trained_on(tmp_path):
     bundle = make_bundle("small", setup, 0.02, made[0], scaling, network)
     limits = paper_limits(bundle, made[1:], threads=1)
     kept = paper_limits(bundle, [with_outputs(bundle, one, 2) for one in made[1:]], threads=1)
-    np.testing.assert_array_equal(kept.sliding_nm, limits.sliding_nm)
-    bundle.sliding_limit_nm, bundle.near_stiction_limit_nm = (
-        limits.sliding_nm.tolist(),
-        limits.near_stiction_nm.tolist(),
-    )
+    np.testing.assert_array_equal(kept, limits)
+    bundle.sliding_limit_nm, bundle.near_stiction_limit_nm = limits.tolist()
     bundle.provenance = json.dumps({"made": "here"})
     path = tmp_path / "small.tauext"
     bundle.save(str(path))

@@ -1,7 +1,7 @@
 """Limits of a commissioned arm from all its calibration motion, as `tauext calibrate` sets them, and their promise.
 
-A Ledger keeps the peaks of the errors under one model. New motion is added as it comes, so that recordings may be
-dropped; touches that become known later are left out again. Promises makes bundles with limits by these peaks, and
+CalibrationPeaks keep the peaks of the errors under one model. New motion is added as it comes, so that recordings may
+be dropped; touches that become known later are left out again. Promises makes bundles with limits by these peaks, and
 counts what happens while they monitor.
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
-from tauext.config import AlarmConfig, FreeMotionConfig
+from tauext.config import AlarmConfig
 from tauext.data.labels import EPOCH, MARGINS, SUSPECT_MARGINS, Label
 from tauext.data.recording import Recording
 from tauext.errors import TauextError
@@ -27,8 +27,12 @@ from tauext.files.checkpoint import Checkpoint
 from tauext.files.journal_lines import is_bundle_name
 from tauext.files.provenance import provenance
 from tauext.files.synced_file import write_synced
-from tauext.train.calibrate import no_freeze, set_limits, write_calibrated
-from tauext.train.held_peaks import PeakCollector, collect_peaks
+from tauext.fit.tail import promised_per_hour
+from tauext.train.calibrate import write_calibrated
+from tauext.train.held_peaks import Peaks, collect_peaks
+from tauext.train.limits import LIMITS
+from tauext.train.paper_limits import LimitMotion
+from tauext.train.promised_limits import no_freeze
 from tauext.train.suspects import Suspect, find_suspects, suspect_sentences, unusual_sentence
 from tauext_commission.folder import CommissionFolder, Segment, joined, up_to, wall
 from tauext_commission.history import Kept, kept_of
@@ -42,17 +46,17 @@ TURN_S = 1800.0
 """Calibration motion in memory at a time, [s]."""
 Place = tuple[str, int, int, int]
 """Name, epoch, first and last stamp of a motion in the peaks."""
-STATE = tuple[list[PeakCollector], list[str], list[Place], int, float, set[int], set[int], dict[int, tuple[int, int]]]
-"""Fields of a Ledger in its file."""
+STATE = tuple[list[Peaks], list[Place], int, float, set[int], set[int], dict[int, tuple[int, int]]]
+"""Fields of CalibrationPeaks in their file."""
 
 
-class Ledger:
+class CalibrationPeaks:
     """Peaks and hours of the calibration motion under one model, and what of the labels they contain."""
 
     def __init__(self, folder: CommissionFolder, base: str):
         self._folder, self.base = folder, base
-        self.collectors: list[Any] = []
-        self.names: list[str] = []
+        self.peaks: list[Peaks] = []
+        """For each hold time."""
         self.places: list[Place] = []
         self.learned = 0
         self.limits_h = 0.0
@@ -62,30 +66,25 @@ class Ledger:
         """Alarms answered `nothing` when the newest limits were found."""
         self.forgotten: dict[int, tuple[int, int]] = {}
         """Spans of labels whose peaks were left out."""
-        self._checkpoint = Checkpoint(folder.path / "peaks.state", f"{base}, layout 2")
+        self._checkpoint = Checkpoint(folder.path / "peaks.state", f"{base}, layout 3")
 
     @classmethod
-    def load(cls, folder: CommissionFolder, base: str) -> Ledger:
+    def load(cls, folder: CommissionFolder, base: str) -> CalibrationPeaks:
         made = cls(folder, base)
         if (state := made._checkpoint.load(STATE)) is not None:
-            (made.collectors, made.names, made.places, made.learned) = state[:4]
-            (made.limits_h, made.counted, made.limited, made.forgotten) = state[4:]
-            made.names = made.names[: len(made.places)]
+            (made.peaks, made.places, made.learned) = state[:3]
+            (made.limits_h, made.counted, made.limited, made.forgotten) = state[3:]
         return made
 
     def put(self) -> None:
         """Keep the state, then allow the recorder to drop what was learned."""
-        peaks = (self.collectors, self.names, self.places, self.learned)
+        peaks = (self.peaks, self.places, self.learned)
         self._checkpoint.put((*peaks, self.limits_h, self.counted, self.limited, self.forgotten))
         write_synced(self._folder.path / LEARNED, json.dumps({"number": self.learned}) + "\n")
 
     @property
     def hours(self) -> float:
-        return float(self.collectors[0].peaks().hours) if self.collectors else 0.0
-
-    def offer(self, collectors: list[Any], names: Sequence[str]) -> None:
-        """Part of KeptPeaks: the collectors after one more recording."""
-        self.collectors = collectors
+        return self.peaks[0].hours if self.peaks else 0.0
 
     def news(self, labels: Sequence[Label]) -> bool:
         """Whether answers have come since the newest limits."""
@@ -105,19 +104,18 @@ class Ledger:
         false = [one for one in false if one.set != "calibration" or one.number <= self.learned]
         bundle = load_bundle(self._folder.bundles / f"{self.base}.tauext")
         numbers = {one.number for one in (*fresh, *false)}
-        before, places, since = copy.deepcopy(self.collectors), list[Place](), len(self.places)
+        before, places, since = copy.deepcopy(self.peaks), list[Place](), len(self.places)
         try:
             with no_freeze(bundle):
                 counted = self._counted([one for one in segments if one.number in numbers], segments, places)
                 if (first := next(counted, None)) is not None:
                     recordings = chain([first], counted)
                     holds_s = AlarmConfig().holds_s
-                    collect_peaks(bundle, recordings, holds_s, THREADS, margins=FreeMotionConfig(), kept=self)
+                    self.peaks = collect_peaks(bundle, recordings, holds_s, THREADS, before=self.peaks)
         except BaseException:
-            self.collectors = before
+            self.peaks = before
             raise
         self.places += places
-        self.names += [name for name, *_ in places]
         self.learned = learned
         self.counted = {one.id for one in labels if one.answer == "nothing"}
         self.forgotten = {id: span for id, span in self.forgotten.items() if id not in self.counted}
@@ -136,9 +134,8 @@ class Ledger:
             inside = [one for one in segments if one.epoch == epoch and one.from_ns <= to_ns and one.to_ns >= from_ns]
             return joined(self._folder.load(inside))
 
-        peaks = self.collectors[-1].peaks(self.names)
         with no_freeze(bundle):
-            found = find_suspects(bundle, peaks, load, labels, THREADS, since)
+            found = find_suspects(bundle, self.peaks[-1], load, labels, THREADS, since)
         return put_suspects(self._folder, found, bundle.name)
 
     def suspects(self) -> int:
@@ -183,8 +180,8 @@ class Ledger:
                 continue
             for k, (_, epoch, from_ns, to_ns) in enumerate(self.places):
                 if epoch == label.epoch and from_ns <= span[1] and to_ns >= span[0]:
-                    for collector in self.collectors:
-                        collector.forget(k, span[0] - from_ns, span[1] - from_ns)
+                    for peaks in self.peaks:
+                        peaks.forget(k, span[0] - from_ns, span[1] - from_ns)
             self.forgotten[label.id] = span
 
 
@@ -253,66 +250,68 @@ class Promises:
         """judged: numbers of a bundle on these recordings, and why it does not pass; the last argument:
         whether the bundle in charge breaks its promise."""
         self.folder, self._judged = folder, judged
-        self._ledger: Ledger | None = None
+        self._calibration: CalibrationPeaks | None = None
         self._bases: dict[str, str] = {}
         """Names of bundles and of those whose model they have."""
 
-    def ledger(self) -> Ledger:
+    def calibration(self) -> CalibrationPeaks:
         """Peaks of the calibration motion for the model of the bundle in charge."""
         active = self.folder.active()
         assert active is not None
         if active.stem not in self._bases:
             self._bases[active.stem] = base_of(self.folder, active.stem)
         base = self._bases[active.stem]
-        if self._ledger is None or self._ledger.base != base:
-            self._ledger = Ledger.load(self.folder, base)
-        return self._ledger
+        if self._calibration is None or self._calibration.base != base:
+            self._calibration = CalibrationPeaks.load(self.folder, base)
+        return self._calibration
 
     def unlearned(self, segments: Sequence[Segment]) -> list[Segment]:
         """Calibration motion that can be learned."""
-        later, found, ledger = 0.0, list[Segment](), self.ledger()
+        later, found, calibration = 0.0, list[Segment](), self.calibration()
         for one in reversed(segments):
-            if one.set == "calibration" and one.number > ledger.learned and later >= SPARE_S:
+            if one.set == "calibration" and one.number > calibration.learned and later >= SPARE_S:
                 found.append(one)
             later += one.seconds
         return found[::-1]
 
     def learn(self) -> None:
         """Collect the peaks of new calibration motion, and of alarms that were answered with `nothing`."""
-        ledger = self.ledger()
+        calibration = self.calibration()
         segments = segments_of_arm(self.folder)
         fresh = self.unlearned(segments)
         self.folder.progress(f"learning from {sum(one.seconds for one in fresh) / 60:.0f} min of motion")
-        ledger.learn(fresh, segments)
+        calibration.learn(fresh, segments)
 
     def renew(self) -> None:
         """A copy of the bundle in charge with limits from all learned calibration motion."""
-        folder, ledger = self.folder, self.ledger()
+        folder, calibration = self.folder, self.calibration()
         active = folder.active()
         assert active is not None
         out = folder.next_bundle()
         folder.progress(f"limits of {out.stem}")
         started = time.monotonic()
         segments = segments_of_arm(folder)
-        ledger.learn([], segments)
-        bundle = load_bundle(folder.bundles / f"{ledger.base}.tauext")  # without the refit of a morning
+        calibration.learn([], segments)
+        bundle = load_bundle(folder.bundles / f"{calibration.base}.tauext")  # without the refit of a morning
         alarm = AlarmConfig()
         try:
-            promised = set_limits(bundle, ledger, alarm, THREADS, ledger.suspects())
+            motion = LimitMotion(out.stem, alarm, THREADS, peaks=calibration.peaks, suspects=calibration.suspects())
+            limits = LIMITS["promised"](bundle, motion)
         except TauextError as error:
             folder.note("note", folder.seconds(), f"no limits from calibration: {error}")
-            return ledger.renewed()
-        rate, sentence = promised.budget.rate_per_hour, promised.sentence()
+            return calibration.renewed()
+        rate, sentence = promised_per_hour(limits), limits["sentence"]
+        assert rate is not None
         happened = kept_of(folder.path, active.stem, folder.seconds())
         if raised := raise_limits(bundle, load_bundle(active), happened, rate):
             words = ", ".join(f"{joint} by {factor - 1:.0%}" for joint, factor in raised.items())
             sentence += f" Limits are raised for false alarms that the calibration does not contain: {words}."
         facts = json.loads(bundle.provenance or "{}")
-        recordings = sorted({name for name, *_ in ledger.places})
-        facts["limits"] = promised.facts() | {"sentence": sentence, "recordings": recordings, RAISED: raised}
+        recordings = sorted({name for name, *_ in calibration.places})
+        facts["limits"] = limits | {"sentence": sentence, "recordings": recordings, RAISED: raised}
         settings = {"bundle": active.name, "dataset": folder.path.name, "alarm": asdict(alarm)}
         facts["calibrated"] = provenance("tauext commission", settings, seed=None)
-        facts["calibrated"]["base"] = ledger.base
+        facts["calibrated"]["base"] = calibration.base
         bundle.name = out.stem
         write_calibrated(bundle, out, facts, started)
         tests = [one for one in segments if one.set == "test"]
@@ -322,11 +321,11 @@ class Promises:
             folder.note("note", folder.seconds(), f"{out.stem} with new limits does not replace {active.stem}: {why}")
             for path in folder.bundles.glob(f"{out.stem}.*"):
                 path.unlink(missing_ok=True)
-            return ledger.renewed()
+            return calibration.renewed()
         worse = f"; {found['worse']}" if found.get("worse") else ""
-        folder.activate(out.stem, f"limits from {ledger.hours:.2g} h of this work{worse}", folder.seconds())
+        folder.activate(out.stem, f"limits from {calibration.hours:.2g} h of this work{worse}", folder.seconds())
         folder.note("promise", folder.seconds(), sentence, bundle=out.stem, **numbers)
-        ledger.renewed()  # last: after a kill, the limits are found again
+        calibration.renewed()  # last: after a kill, the limits are found again
 
     def compare(self) -> None:
         """Add what was promised and what happened to the history."""
@@ -349,8 +348,8 @@ class Promises:
         """Whether the promise is broken and new limits would differ, since there are new answers."""
         active = self.folder.active()
         assert active is not None
-        ledger = self.ledger()
-        if ledger.hours <= 0 or not ledger.news(self.folder.labels()):
+        calibration = self.calibration()
+        if calibration.hours <= 0 or not calibration.news(self.folder.labels()):
             return False
         seconds = self.folder.seconds()
         begun = [float(one["seconds"]) for one in self.folder.history() if one["kind"] == "activation"]

@@ -35,8 +35,8 @@ from tauext.monitor.estimate import estimate_recording
 from tauext.progress import SILENT
 from tauext.robot.model_case import chosen_case
 from tauext.train.data_check import check_data
+from tauext.train.limits import limit_findings
 from tauext.train.preparation import Given
-from tauext.train.promised_limits import limit_findings
 from tauext.train.stage import accepted_settings, train_on_recordings
 from tauext.train.suspects import search
 from tauext_commission.arm_change import STROKES_S, Days, is_changed
@@ -102,8 +102,8 @@ class Trainer:
         learned = max((k for k, one in enumerate(history) if one.get("learned") or one["kind"] == REPAIR), default=0)
         trained = [float(one.get("minutes") or 0.0) for one in history[learned:] if one["kind"] == "training"]
         promised = [float(one["seconds"]) for one in history if one["kind"] in ("promise", "activation")]
-        ledger = self.promises.ledger() if active is not None else None
-        unlearned = self.promises.unlearned(segments) if ledger else []
+        calibration = self.promises.calibration() if active is not None else None
+        unlearned = self.promises.unlearned(segments) if calibration else []
         strokes = self.days.strokes(segments, history) if active is not None and not pending else []
         strokes_s = sum(one.seconds for one in strokes)
         return Facts(
@@ -114,9 +114,9 @@ class Trainer:
             unseen_s=sum(one.seconds for one in self._unseen(pending, segments)) if pending else None,
             has_bundle=active is not None,
             unlearned_s=sum(one.seconds for one in unlearned),
-            learned_h=ledger.hours if ledger else 0.0,
-            limits_h=ledger.limits_h if ledger else 0.0,
-            is_broken=ledger is not None and self.promises.is_broken(),
+            learned_h=calibration.hours if calibration else 0.0,
+            limits_h=calibration.limits_h if calibration else 0.0,
+            is_broken=calibration is not None and self.promises.is_broken(),
             promised_s=max(promised, default=0.0),
             is_asking=bool(question),
             is_answered=question.get("answer") in ("learn", "leave"),

@@ -19,7 +19,7 @@ import numpy as np
 from made_bundles import JOINTS, pushed, watching_bundle
 from tauext_commission.folder import CommissionFolder
 from tauext_commission.keep import KeepSink
-from tauext_commission.promises import Ledger
+from tauext_commission.promises import CalibrationPeaks
 from tauext_commission.run import Commission, Options, run
 from tauext_commission.trainer import Trainer
 
@@ -64,7 +64,7 @@ def prepare(work: Path) -> Path:
         if k == 1:
             add_answers(folder, range(1, ANSWERS // 2 + 1))
             record(folder)
-            Ledger.load(folder, "b0001").put()
+            CalibrationPeaks.load(folder, "b0001").put()
             folder.progress("")
             folder.pending_file.write_text(json.dumps({"bundle": "b0009", "minutes": 1}))
             (folder.path / "carried.bin").write_bytes(b"")
@@ -72,7 +72,7 @@ def prepare(work: Path) -> Path:
             shutil.copytree(path, work / BACKUP)
     add_answers(folder, range(ANSWERS // 2 + 1, ANSWERS + 1))
     record(folder)
-    Ledger.load(folder, "b0001").put()
+    CalibrationPeaks.load(folder, "b0001").put()
     end(begin(path))
     return path
 

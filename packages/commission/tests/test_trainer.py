@@ -20,7 +20,7 @@ from tauext_commission.arm_change import named_steps
 from tauext_commission.connect import HELD, Remark, as_entries
 from tauext_commission.folder import CommissionFolder
 from tauext_commission.history import describe_folder, kept_of
-from tauext_commission.promises import Ledger
+from tauext_commission.promises import CalibrationPeaks
 from tauext_commission.trainer import Trainer, why_not, why_worse
 from tauext_lab.sim.collect import simulate_recording
 from tauext_lab.sim.config import RigConfig, changed_friction
@@ -180,7 +180,7 @@ def test_limits_follow_from_calibration_and_grow_with_it(copy, motion, quick):
     filled(copy.path, [cut(motion, slice(121_000, 200_000))])
     one = Trainer(copy)
     assert [one.step() for _ in range(3)] == ["learn", "limits", "nothing"]
-    hours = one.promises.ledger().hours
+    hours = one.promises.calibration().hours
     assert active(copy) == "b0002" and 50 / 3600 < hours < 70 / 3600
     promise = copy.history()[-1]
     assert promise["kind"] == "promise" and abs(promise["promised_per_hour"] - 3.0 / hours) < 0.1 / hours
@@ -191,9 +191,9 @@ def test_limits_follow_from_calibration_and_grow_with_it(copy, motion, quick):
     for segment in copy.segments():
         if segment.set == "calibration":
             (copy.path / segment.name).unlink()
-    assert keep.learned_up_to(copy) == one.promises.ledger().learned > 0
+    assert keep.learned_up_to(copy) == one.promises.calibration().learned > 0
     again = Trainer(copy)
-    assert again.promises.ledger().hours == hours and again.promises.ledger().base == "b0001"
+    assert again.promises.calibration().hours == hours and again.promises.calibration().base == "b0001"
 
 
 def test_calibration_motion_is_judged_with_the_drift_that_the_loop_has_by_then(copy, quick):
@@ -203,7 +203,7 @@ def test_calibration_motion_is_judged_with_the_drift_that_the_loop_has_by_then(c
     one = Trainer(copy)
     while one.step() != "learn":
         pass
-    peaks = one.promises.ledger().collectors[0].peaks()
+    peaks = one.promises.calibration().peaks[0]
     bundle = load_bundle(copy.bundles / "b0001.tauext")
     bundle.drift.freeze_share = 0.0
     run = _core.Monitor(bundle).run(day.t_ns, day.q, day.dq, day.tau)
@@ -230,20 +230,20 @@ def test_answers_change_the_peaks(copy, motion, quick):
     one.step()
 
     def largest() -> float:
-        return max(float(of[0]) for joint in one.promises.ledger().collectors[0].peaks().nm for of in joint if len(of))
+        return max(float(of[0]) for joint in one.promises.calibration().peaks[0].nm for of in joint if len(of))
 
     free = largest()
     copy.append_label(replace(alarm, answer="nothing", by="page"))
-    assert one.promises.ledger().news(copy.labels())
-    one.promises.ledger().learn([], copy.segments())
+    assert one.promises.calibration().news(copy.labels())
+    one.promises.calibration().learn([], copy.segments())
     assert largest() > 3 * free
-    assert one.promises.ledger().news(copy.labels())  # in the peaks, but in no limit yet
-    one.promises.ledger().renewed()
-    assert not one.promises.ledger().news(copy.labels())
+    assert one.promises.calibration().news(copy.labels())  # in the peaks, but in no limit yet
+    one.promises.calibration().renewed()
+    assert not one.promises.calibration().news(copy.labels())
     copy.append_label(replace(alarm, answer="touched", by="page"))
-    one.promises.ledger().learn([], copy.segments())
+    one.promises.calibration().learn([], copy.segments())
     assert largest() == free
-    assert Ledger.load(copy, "b0001").collectors[0].peaks().hours == one.promises.ledger().hours
+    assert CalibrationPeaks.load(copy, "b0001").peaks[0].hours == one.promises.calibration().hours
 
 
 def test_motion_before_calibration_motion_that_was_dropped_meanwhile_is_not_learned(copy, motion, quick):
@@ -252,8 +252,8 @@ def test_motion_before_calibration_motion_that_was_dropped_meanwhile_is_not_lear
     fresh = [part for part in segments if part.set == "calibration" and part.epoch == copy.facts["epoch"]]
     for part in fresh:
         (copy.path / part.name).unlink()
-    one.promises.ledger().learn(fresh, segments)
-    assert one.promises.ledger().hours == 0.0
+    one.promises.calibration().learn(fresh, segments)
+    assert one.promises.calibration().hours == 0.0
 
 
 @pytest.mark.slow

@@ -20,7 +20,8 @@ from tauext.fit.ridge import Regressors, gather, solved
 from tauext.fit.temperature import with_temperature
 from tauext.fit.training_set import Setup, with_presliding
 from tauext.recipes import FULL_PRIOR
-from tauext.train.error_scale import FEATURES, ErrorRows, LevelLimits, blind_sigma, freeze_floor_nm, set_limits
+from tauext.train.error_scale import FEATURES, ErrorRows, blind_sigma, freeze_floor_nm
+from tauext.train.paper_limits import set_limits
 from tauext.train.preparation import Job, Start
 from tauext_fleet.expected_friction import expectations, settings_with
 from tauext_fleet.fleet_prior import ArmType, FleetErrors, FleetPrior, links_digest, load_fleet_prior
@@ -113,9 +114,9 @@ class Like(Start):
         errors = self.errors_for(job, bundle) if kind == "supported" else None
         if errors is None:
             return None
-        set_limits(bundle, LevelLimits(errors.sliding_limit_nm, errors.near_stiction_limit_nm), job.config.alarm)
-        LevelLimits(errors.contact_sliding_limit_nm, errors.contact_near_stiction_limit_nm).put(bundle, "contact_")
-        bundle.hold_s, bundle.contact_hold_s = errors.hold_s, errors.contact_hold_s
+        limits = np.array([errors.sliding_limit_nm, errors.near_stiction_limit_nm])
+        contact = np.array([errors.contact_sliding_limit_nm, errors.contact_near_stiction_limit_nm])
+        set_limits(bundle, limits, job.config.alarm, contact, (errors.hold_s, errors.contact_hold_s))
         words = (
             f"limits are those of {errors.arms} arms of this type that had {errors.minutes:g} min of their own and the "
             f"prior of the others, on {60 * errors.hours:.0f} min of the rest of their motion, and as large as this "

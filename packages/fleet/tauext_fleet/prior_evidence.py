@@ -19,9 +19,10 @@ from tauext.fit.training_set import with_presliding
 from tauext.train.error_scale import ErrorRows, Judged, collect_rows, scale_of
 from tauext.train.fitting import fit_prior, observe, put_prior, with_fit
 from tauext.train.held_peaks import Peaks, collect_peaks
-from tauext.train.limits import EVEN_ODDS, FORGOTTEN, unseen_motion
+from tauext.train.limits import unseen_motion
 from tauext.train.network import assemble
-from tauext.train.promised_limits import PromisedLimits, promised_limits
+from tauext.train.promised_limits import LimitsConfig, PromisedLimits, promised_limits
+from tauext.train.supported_limits import SupportedConfig
 from tauext_fleet.fleet_prior import FleetDays, FleetErrors, block_columns
 from tauext_fleet.hierarchy import MORE_ARMS, Evidence, Hierarchy, learn_hierarchy
 from tauext_fleet.like import LEAST_SIZE, Like, scale_settings, sizes
@@ -278,7 +279,8 @@ def new_arm(own: OwnTerms, config: TrainConfig, like: Like) -> NewArm:
     assert fit is not None
     bundle = assemble(job, with_fit(setup, fit))
     put_prior(job, bundle, fit)
-    bundle.near_memory_s = FORGOTTEN / bundle.observer.gain_per_s if bundle.region_width >= 0 else bundle.near_memory_s
+    if bundle.region_width >= 0:
+        bundle.near_memory_s = SupportedConfig.near_memory / bundle.observer.gain_per_s
     bundle.after_contact_factor = job.config.alarm.after_contact_factor
     _, left_out = unseen_motion(job, bundle, setup, fit)
     margins = job.config.margins
@@ -338,16 +340,18 @@ def errors_of(arms: Sequence[NewArm], config: TrainConfig, threads: int) -> Flee
         for one in some:
             yield from judged_rest(one.own, config, one.bundle, one.bundle.observer.gain_per_s)
 
-    margins = config.margins
-    found = promised_limits(arms[0].bundle, lambda: rest(arms), AlarmConfig(), threads, margins, EVEN_ODDS, True)
-    held = [collect_peaks(one.bundle, rest([one]), [found.hold_s], threads, margins=margins)[0] for one in arms]
+    margins, alarm = config.margins, AlarmConfig()
+    limits = LimitsConfig(confidence=SupportedConfig.confidence, at_most_seen=True)
+    found = promised_limits(
+        arms[0].bundle, collect_peaks(arms[0].bundle, rest(arms), alarm.holds_s, threads, margins), alarm, limits
+    )
+    held = [collect_peaks(one.bundle, rest([one]), [found.hold_s], threads, margins)[0] for one in arms]
     return with_limits(errors, found, factor_of(np.array([largest(peaks) for peaks in held])))
 
 
 def largest(peaks: Peaks) -> np.ndarray:
     """Largest held error of each joint by the common scale, sliding and in either region, (joints, regions), [N m]."""
-    top = np.array([[of_region[0] if len(of_region) else 0.0 for of_region in of_joint] for of_joint in peaks.nm])
-    return np.maximum.accumulate(top, axis=1)
+    return np.maximum.accumulate(peaks.largest_nm, axis=1)
 
 
 def factor_of(top_nm: np.ndarray) -> float:
@@ -369,10 +373,10 @@ def with_limits(errors: FleetErrors, found: PromisedLimits, factor: float) -> Fl
     facts = {key: value for key, value in found.facts().items() if key != "one_moment"} | {"arms_factor": factor}
     return replace(
         errors,
-        sliding_limit_nm=factor * found.collision.sliding_nm,
-        near_stiction_limit_nm=factor * found.collision.near_stiction_nm,
-        contact_sliding_limit_nm=factor * found.contact.sliding_nm,
-        contact_near_stiction_limit_nm=factor * found.contact.near_stiction_nm,
+        sliding_limit_nm=factor * found.collision[0],
+        near_stiction_limit_nm=factor * found.collision[1],
+        contact_sliding_limit_nm=factor * found.contact[0],
+        contact_near_stiction_limit_nm=factor * found.contact[1],
         hold_s=found.hold_s,
         contact_hold_s=found.contact_hold_s,
         facts=facts,

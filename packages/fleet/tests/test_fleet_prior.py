@@ -24,9 +24,9 @@ from tauext.cli import main
 from tauext.data.dataset import load_dataset
 from tauext.errors import ConfigError
 from tauext.progress import SILENT
-from tauext.train.limits import UNPROMISED_FACTOR
 from tauext.train.preparation import NOTHING
 from tauext.train.stage import train_bundle
+from tauext.train.supported_limits import SupportedConfig
 
 SECONDS = 20.0
 
@@ -307,7 +307,7 @@ def test_from_minutes_enough_on_an_arms_limits_follow_from_its_own_errors(made, 
     like = load_fleet_prior(made[0])
     bundle = train_bundle(data, tmp_path / "own.tauext", config=CONFIG, check=False, start=Like(like))
     limits = json.loads(bundle.provenance)["limits"]
-    assert "like" not in limits and limits["minutes_factor"] == UNPROMISED_FACTOR
+    assert "like" not in limits and limits["minutes_factor"] == SupportedConfig.unpromised_factor
 
 
 def test_limits_are_raised_until_no_arm_is_over_those_of_the_others():

@@ -18,7 +18,7 @@ from tauext.errors import ConfigError
 from tauext.files.plain_file import LARGEST_TEXT, read_bytes
 from tauext.fit.network_training import ScaledNetwork, TrainedNetwork
 from tauext.fit.training_set import Scaling, Setup
-from tauext.train.error_scale import LevelLimits, set_limits
+from tauext.train.paper_limits import set_limits
 from tauext.train.preparation import TRAINING_ONLY, Job, Start
 
 # --- PyTorch's LSTM of one layer and a linear head, in the layout of LstmShape.
@@ -101,7 +101,7 @@ class OwnNetwork(Start):
         """Set the user's limits, if there are some and the settings ask for no kind."""
         if self.limit_nm is None or job.config.limits != "auto":
             return None
-        set_limits(bundle, LevelLimits(self.limit_nm, self.limit_nm), job.config.alarm)
+        set_limits(bundle, np.tile(self.limit_nm, (2, 1)), job.config.alarm)
         words = f"limits are {LIMIT} of {self.file}, and promise nothing"
         return words, {"sentence": words}
 

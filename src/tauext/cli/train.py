@@ -200,8 +200,8 @@ def calibrate(
     alarm = alarm_settings(config, options)
     expect_another(out, bundle, "start from")
     print_replaced(out)
-    promised = recalibrate(bundle, load_dataset(data), out, alarm, threads, Terminal(), refit_error_scale, accept)
-    print(promised.sentence())
+    limits = recalibrate(bundle, load_dataset(data), out, alarm, threads, Terminal(), refit_error_scale, accept)
+    print(limits["sentence"])
     print(out)
 
 

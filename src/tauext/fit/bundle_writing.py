@@ -98,7 +98,7 @@ def make_bundle(
     scaling: Scaling | None = None,
     network: TrainedNetwork | None = None,
 ) -> _core.Bundle:
-    """A bundle without limits yet (all 1 Nm, no hold times; see calibrate_limits.set_limits), with a network or the
+    """A bundle without limits yet (all 1 Nm, no hold times; see train.paper_limits.set_limits), with a network or the
     plain observer. Its signal ranges are those of the reference until set_signal_ranges sees more.
 
     Args:

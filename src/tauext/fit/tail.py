@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Literal
 
 import numpy as np
 from scipy.special import gammainc, gammaincinv
 
+from tauext.config import require
 from tauext.errors import ConfigError, TrainingError
 
 # --- Tail of a joint's error in free motion: rate of peaks of |tau_ext| above levels that few or no peaks reached.
@@ -29,27 +30,36 @@ from tauext.errors import ConfigError, TrainingError
 # needs one sum for each c, for all sigma: a grid costs little and needs no convergence.
 
 
-EXCEEDANCES = (200, 140, 100, 70, 50)
-"""Thresholds to try, by the number of peaks above."""
-TAIL_SHARE = 0.05
-"""Largest share of the peaks that counts as a tail; 50 peaks are always tried."""
-FEWEST = 30
-"""Fewest exceedances for fitting a tail."""
 SHAPES = (-0.9, 1.0)
 """Bounds of the shape. Below -1 the likelihood has no maximum [Grimshaw1993]_. From 1 on the mean excess is infinite,
 which is impossible for torque errors."""
-USUAL_SHAPE, SHAPE_SPREAD = 0.1, 0.3
-"""Prior of the shape: flat up to the first, beyond it a normal distribution's upper half. A few dozen peaks do not tell
-a tail of 0.1 from one of 0.5, whose limits are several times as high, and one large peak moves the fit from one to the
-other. Hydrology bounds the shape for the same reason ([Martins2000]_, within 0.5)."""
-DRAWS = 256
-"""Draws of a tail's rates, even in probability."""
-SMALLEST_P = 0.1
-"""A threshold is skipped if a fit as bad as its own is less probable than this ..."""
-WIDEST_STEP = 2.58
-"""... or if a higher threshold's shape differs by more standard errors than this (99 %)."""
-MISFIT_P = 0.01
-"""Probability of so bad a fit over the highest threshold, below which the peaks have no tail of this kind."""
+
+
+@dataclass(frozen=True)
+class TailConfig:
+    """How a tail is fitted to peaks."""
+
+    exceedances: tuple[int, ...] = (200, 140, 100, 70, 50)
+    """Thresholds to try, by the number of peaks above, falling: more peaks lower the variance and raise the bias."""
+    share: float = 0.05
+    """Largest share of the peaks that counts as a tail; the last of `exceedances` is always tried."""
+    fewest: int = 30
+    """Fewest exceedances for fitting a tail."""
+    least_p: float = 0.1
+    """A threshold is skipped if a fit as bad as its own is less probable than this ..."""
+    widest_step: float = 2.58
+    """... or if a higher threshold's shape differs by more standard errors than this (99 %)."""
+    misfit_p: float = 0.01
+    """Probability of so bad a fit over the highest threshold, below which the peaks have no tail of this kind."""
+    usual_shape: float = 0.1
+    """Prior of the shape: flat up to this, beyond it a normal distribution's upper half. A few dozen peaks do not tell
+    a tail of 0.1 from one of 0.5, whose limits are several times as high, and one large peak moves the fit from one to
+    the other. Hydrology bounds the shape for the same reason ([Martins2000]_, within 0.5)."""
+    shape_spread: float = 0.3
+    """Standard deviation of that normal distribution; a larger one raises the limits of heavy tails."""
+    draws: int = 256
+    """Draws of a tail's rates, even in probability."""
+
 
 GOODNESS_P = np.array([0.5, 0.25, 0.1, 0.05, 0.025, 0.01, 0.001])
 GOODNESS_SHAPES = np.array([-0.9, -0.8, -0.6, -0.4, -0.2, 0.0, 0.25, 0.5, 1.0])
@@ -74,11 +84,10 @@ Pareto distribution. Shape and scale are fitted to them within SHAPES. The table
 class TooFewPeaks(TrainingError):
     """Too few peaks to fit a tail."""
 
-    def __init__(self, peaks: int) -> None:
+    def __init__(self, peaks: int, fewest: int) -> None:
         super().__init__(
-            f"{peaks} peaks are too few to fit a tail: at least {FEWEST + 1} are needed; record more free motion"
+            f"{peaks} peaks are too few to fit a tail: at least {fewest} are needed; record more free motion"
         )
-        self.peaks = peaks
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +105,7 @@ class Tail:
     """Probability of so bad a fit for a tail of this kind, by Anderson and Darling's test; clipped to 0.001 to 0.5."""
     peaks_nm: np.ndarray = field(repr=False)
     """All peaks, descending, [N m]."""
+    config: TailConfig = TailConfig()
 
     @property
     def rate_per_hour(self) -> float:
@@ -105,7 +115,7 @@ class Tail:
     @property
     def fits(self) -> bool:
         """Whether the distribution describes the data, so that levels beyond the data are credible."""
-        return self.goodness_p >= MISFIT_P
+        return self.goodness_p >= self.config.misfit_p
 
     def seen(self, rate_per_hour: float, confidence: float) -> float:
         """Largest peak that so low a rate does not explain, [N m]; the largest one at least.
@@ -117,13 +127,13 @@ class Tail:
         return float(self.peaks_nm[max(allowed, 1) - 1])
 
     def rates(self, levels_nm: np.ndarray, order: np.random.Generator) -> np.ndarray:
-        r"""Rates of peaks over each level, drawn from their posterior distribution, (DRAWS, levels), [1/h].
+        r"""Rates of peaks over each level, drawn from their posterior distribution, (draws, levels), [1/h].
 
         .. math:: \lambda(x) = \lambda_u \left(1 + \xi \frac{x - u}{\sigma}\right)^{-1/\xi}, \quad
                   p(\xi, \sigma) \propto L(\xi, \sigma)\,\sigma^{-1}\,e^{-\max(\xi - \xi_0, 0)^2 / 2 s^2}, \quad
                   \lambda_u \sim \Gamma(n + 1/2, T)
 
-        xi_0 and s are USUAL_SHAPE and SHAPE_SPREAD. At and below the threshold the peaks themselves take the place of
+        xi_0 and s are usual_shape and shape_spread. At and below the threshold the peaks themselves take the place of
         the distribution: k of them above a level count as k of the n above the threshold.
 
         Draws are even in probability instead of random, so that few suffice; `order` pairs those of one tail
@@ -133,8 +143,8 @@ class Tail:
             levels_nm: (levels,), [N m].
         """
         n, levels = self.exceedances, np.asarray(levels_nm, dtype=float)
-        shape, scale, weight = _posterior(self.peaks_nm[:n] - self.threshold_nm)
-        even = (np.arange(DRAWS) + 0.5) / DRAWS
+        shape, scale, weight = _posterior(self.peaks_nm[:n] - self.threshold_nm, self.config)
+        even = (np.arange(self.config.draws) + 0.5) / self.config.draws
         drawn = order.permutation(np.searchsorted(np.cumsum(weight) / weight.sum(), even))
         above = order.permutation(gammaincinv(n + 0.5, even)) / self.hours
         y, xi = np.maximum(levels - self.threshold_nm, 0) / scale[drawn, None], shape[drawn, None]
@@ -159,7 +169,7 @@ class Tail:
         }
 
 
-def fit_tail(peaks_nm: np.ndarray, hours: float) -> Tail:
+def fit_tail(peaks_nm: np.ndarray, hours: float, config: TailConfig = TailConfig()) -> Tail:
     """Fit the tail of declustered peaks, above the lowest suitable threshold.
 
     A low threshold has many peaks above it, hence little variance; too low a threshold has bias ([Coles2001]_ 4.3.1).
@@ -170,42 +180,38 @@ def fit_tail(peaks_nm: np.ndarray, hours: float) -> Tail:
 
     Args:
         peaks_nm: separate peaks, (peaks,), [N m], in any order: all of them, or the largest (held_peaks).
-        hours: hours
-        of operation observed; rates refer to the same hours.
+        hours: hours of operation observed; rates refer to the same hours.
 
     Raises:
-        TooFewPeaks: fewer than 31 peaks, or fewer than 30 over some threshold because of equal ones.
-        TrainingError: a
-        peak is not finite or negative.
+        TooFewPeaks: fewer than 31 peaks, or fewer than 30 over every threshold because of equal ones.
+        TrainingError: a peak is not finite or negative.
         ConfigError: hours not > 0.
     """
-    if not (math.isfinite(hours) and hours > 0):
-        raise ConfigError(f"hours = {hours} must be > 0")
+    require(0 < hours < math.inf, "hours", hours, "> 0")
     peaks = np.sort(np.asarray(peaks_nm, dtype=float).ravel())[::-1]  # NaN comes first
     if len(peaks) and not (math.isfinite(peaks[0]) and peaks[-1] >= 0):
         wrong = peaks[-1] if peaks[-1] < 0 else peaks[0]
         raise TrainingError(f"a peak of |tau_ext| = {wrong} Nm must be finite and >= 0")
-    if len(peaks) <= FEWEST:
-        raise TooFewPeaks(len(peaks))
+    if len(peaks) <= config.fewest:
+        raise TooFewPeaks(len(peaks), config.fewest + 1)
     tried = []
-    most = max(EXCEEDANCES[-1], TAIL_SHARE * len(peaks))
-    for count in [n for n in EXCEEDANCES if n <= most and n < len(peaks)] or [len(peaks) - 1]:
+    most = max(config.exceedances[-1], config.share * len(peaks))
+    for count in [n for n in config.exceedances if n <= most and n < len(peaks)] or [len(peaks) - 1]:
         threshold = float(peaks[count])
         above = int((peaks > threshold).sum())  # fewer than `count` where peaks are equal
-        if above >= FEWEST:
-            shape, scale = fit_excess(peaks[:above] - threshold)
-            tried.append((threshold, shape, scale, above))
+        if above >= config.fewest:
+            tried.append((threshold, *fit_excess(peaks[:above] - threshold), above))
     if not tried:
-        raise TooFewPeaks(above)  # the others are equal
+        raise TooFewPeaks(above, config.fewest + 1)  # the others are equal
     for number, (threshold, shape, scale, above) in enumerate(tried):
         p = goodness(peaks[:above] - threshold, shape, scale)
         steady = all(
-            abs(other - shape) <= WIDEST_STEP * (1 + shape) * math.sqrt(1 / fewer - 1 / above)
+            abs(other - shape) <= config.widest_step * (1 + shape) * math.sqrt(1 / fewer - 1 / above)
             for _, other, _, fewer in tried[number + 1 :]
         )
-        if p >= SMALLEST_P and steady:
+        if p >= config.least_p and steady:
             break
-    return Tail(threshold, shape, scale, above, hours, p, peaks)
+    return Tail(threshold, shape, scale, above, hours, p, peaks, config)
 
 
 def fit_excess(excess: np.ndarray) -> tuple[float, float]:
@@ -251,7 +257,7 @@ def _likelihood(n: int, c: np.ndarray, mean: np.ndarray, scale: np.ndarray) -> n
     return -n * (np.log(scale) + c * mean + mean / scale)
 
 
-def _posterior(excess: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _posterior(excess: np.ndarray, config: TailConfig) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Shapes and scales of the excesses over a threshold, with their posterior weights, see `Tail.rates`."""
     n = len(excess)
     grid = np.linspace(*GRID, 371)
@@ -263,7 +269,7 @@ def _posterior(excess: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     shape = c * scale
     # Prior 1/sigma; d shape d sigma = sigma dc d sigma, dc ~ e^grid d grid, d sigma = sigma d ln sigma.
     weight = _likelihood(n, c, mean, scale) + np.log(scale) + grid[:, None]
-    weight -= (np.maximum(shape - USUAL_SHAPE, 0) / SHAPE_SPREAD) ** 2 / 2
+    weight -= (np.maximum(shape - config.usual_shape, 0) / config.shape_spread) ** 2 / 2
     weight = np.where((shape > SHAPES[0]) & (shape < SHAPES[1]), np.exp(weight - weight.max()), 0)
     kept = weight > 1e-8 * weight.max()
     return shape[kept], scale[kept], weight[kept]
@@ -286,7 +292,8 @@ class FalseAlarmBudget:
 
     def __post_init__(self) -> None:
         for name in ("alarms", "hours"):
-            _require_positive(f"false alarm budget: {name}", getattr(self, name))
+            value = getattr(self, name)
+            require(0 < value < math.inf, f"false alarm budget: {name}", value, "> 0")
 
     @property
     def rate_per_hour(self) -> float:
@@ -296,6 +303,10 @@ class FalseAlarmBudget:
     def __str__(self) -> str:
         """Return text such as `1 in 8 h`."""
         return f"{self.alarms:g} in {duration(self.hours)}"
+
+    def summary(self) -> dict:
+        """All values for JSON."""
+        return asdict(self) | {"rate_per_hour": self.rate_per_hour, "text": str(self)}
 
 
 def rate_interval(events: int, hours: float, confidence: float = 0.95) -> tuple[float, float]:
@@ -322,40 +333,15 @@ def upper_rate(events: int, hours: float, confidence: float = 0.95) -> float:
     return _upper(events, hours, 1 - confidence)
 
 
-def is_consistent(events: int, hours: float, promised_rate: float, confidence: float = 0.95) -> bool:
-    """Whether the promised rate, [1/h], lies in the confidence interval of a test's result.
-
-    It is also False if the test had far fewer alarms than promised; the promise then holds, see `is_kept`.
-
-    Raises:
-        ConfigError: as rate_interval.
-    """
-    low, high = rate_interval(events, hours, confidence)
-    return low <= promised_rate <= high
-
-
 def is_kept(events: int, hours: float, promised_rate: float, confidence: float = 0.95) -> bool:
-    """Whether a test is compatible with the promised rate, [1/h].
-
-    False if P(events or more | promised rate) < 1 - confidence.
+    """Whether a test is compatible with the promised rate, [1/h]: not if P(events or more | promised rate) < 1 -
+    confidence.
 
     Raises:
         ConfigError: as rate_interval.
     """
     _check(events, hours, confidence)
     return _lower(events, hours, 1 - confidence) <= promised_rate
-
-
-def hours_to_support(budget: FalseAlarmBudget, confidence: float = 0.95) -> float:
-    """Hours without false alarm that bound the rate by the budget's: -ln(1 - confidence)/rate, [h].
-
-    24.0 h for 1 in 8 h: the "rule of three" [Hanley1983].
-
-    Raises:
-        ConfigError: a confidence outside 0 to 1.
-    """
-    _check(0, budget.hours, confidence)
-    return -math.log1p(-confidence) / budget.rate_per_hour
 
 
 @dataclass(frozen=True)
@@ -381,8 +367,8 @@ class Promise:
 
     @property
     def needed_hours(self) -> float:
-        """Hours of calibration needed for the budget, [h]."""
-        return hours_to_support(self.asked, self.confidence)
+        """Hours without false alarm that bound the rate by the budget's, [h]: 24 h for 1 in 8 h [Hanley1983]."""
+        return -math.log1p(-self.confidence) / self.asked.rate_per_hour
 
     @property
     def missing_hours(self) -> float:
@@ -417,14 +403,13 @@ class Promise:
     def summary(self) -> dict:
         """All values for JSON."""
         return {
-            "asked": asdict(self.asked) | {"rate_per_hour": self.asked.rate_per_hour, "text": str(self.asked)},
+            "asked": self.asked.summary(),
             "confidence": self.confidence,
             "calibration_hours": self.hours,
             "needed_hours": self.needed_hours,
             "missing_hours": self.missing_hours,
             "supported": self.is_supported,
-            "supported_budget": asdict(self.supported)
-            | {"rate_per_hour": self.supported.rate_per_hour, "text": str(self.supported)},
+            "supported_budget": self.supported.summary(),
             "sentence": self.sentence(),
         }
 
@@ -443,21 +428,18 @@ def promised_per_hour(limits: Mapping) -> float | None:
     return float(promise["asked" if promise["supported"] else "supported_budget"]["rate_per_hour"])
 
 
-UNITS = (("h", 1.0), ("minutes", 60.0), ("s", 3600.0))
-ROUNDINGS: dict[str, Callable[[float], int]] = {
-    "nearest": round,
-    "up": lambda x: math.ceil(x - 1e-9),
-    "down": lambda x: math.floor(x + 1e-9),
-}
-
-
 def duration(hours: float, rounding: Literal["nearest", "up", "down"] = "nearest") -> str:
     """Format a time to about three digits: `8 h`, `6.67 minutes`, `24 s`."""
-    unit, factor = next(((u, f) for u, f in UNITS if hours * f >= 1), UNITS[-1])
-    if not (value := hours * factor) > 1e-9:
+    unit, value = next(
+        ((unit, hours * factor) for unit, factor in (("h", 1), ("minutes", 60)) if hours * factor >= 1),
+        ("s", hours * 3600),
+    )
+    if not value > 1e-9:
         return f"0 {unit}"
     digits = min(1, 2 - math.floor(math.log10(value))) if value >= 10 else 2 - math.floor(math.log10(value))
-    number = f"{ROUNDINGS[rounding](value * 10**digits) / 10**digits:.6g}"
+    scaled = value * 10**digits
+    whole = {"nearest": round(scaled), "up": math.ceil(scaled - 1e-9), "down": math.floor(scaled + 1e-9)}[rounding]
+    number = f"{whole / 10**digits:.6g}"
     return f"{number} {'minute' if (number, unit) == ('1', 'minutes') else unit}"
 
 
@@ -470,107 +452,7 @@ def _upper(events: int, hours: float, tail: float) -> float:
 
 
 def _check(events: int, hours: float, confidence: float) -> None:
-    if events < 0 or events != int(events):
-        raise ConfigError(f"events = {events} must be a whole number >= 0")
-    _require_positive("hours", hours)
+    require(events >= 0 and events == int(events), "events", events, "a whole number >= 0")
+    require(0 < hours < math.inf, "hours", hours, "> 0")
     if not 0 < confidence < 1:
         raise ConfigError(f"confidence = {confidence} must lie between 0 and 1")
-
-
-def _require_positive(name: str, value: float) -> None:
-    if not (math.isfinite(value) and value > 0):
-        raise ConfigError(f"{name} = {value} must be > 0")
-
-
-# --- Held minimum: the error that remains behind a hold time.
-# An alarm rises at sample k when |tau_ext| of a joint was over its limit L at all samples since one that is `hold_s`
-# old or older. Equivalently, the held minimum exceeds L:
-#
-# .. math:: m(t_k) = \min_{s \le j \le k} |\tau_{ext}(t_j)|, \quad s = \max\{j : t_j \le t_k - hold\}, \qquad m(t_k) > L
-#
-# m replaces |tau_ext| wherever limits are compared. Without hold time m is |tau_ext| itself.
-
-
-def held_minimum(tau_abs: np.ndarray, healthy: np.ndarray, hold_samples: int | np.ndarray) -> np.ndarray:
-    """Least |tau_ext| of the last hold_samples + 1 samples, for every sample, (samples,), [N m].
-
-    NaN where one of them is unhealthy or NaN, or would lie before the first: no alarm can rise there.
-
-    Args:
-        tau_abs: |tau_ext| of one joint, (samples,), [N m].
-        healthy: (samples,), bool.
-        hold_samples: one number for all samples, or one for each, (samples,), as `hold_lengths` gives.
-
-    Raises:
-        ConfigError: shapes differ, or hold_samples < 0.
-    """
-    tau_abs, healthy, hold = np.asarray(tau_abs, dtype=float), np.asarray(healthy, dtype=bool), np.asarray(hold_samples)
-    if tau_abs.ndim != 1 or healthy.shape != tau_abs.shape or hold.shape not in ((), tau_abs.shape):
-        raise ConfigError(
-            f"held minimum: |tau_ext|, healthy and hold_samples have shapes {tau_abs.shape}, {healthy.shape} and "
-            f"{hold.shape}; they must be equal, (samples,)"
-        )
-    if (hold < 0).any():
-        raise ConfigError(f"hold_samples = {hold.min()} must be >= 0")
-    least = np.full(len(tau_abs), -np.inf)
-    over = np.where(healthy & ~np.isnan(tau_abs), tau_abs, -np.inf)
-    length = _one_length(hold)
-    if length is not None:
-        least[length:] = _over_windows(over, length + 1)
-    else:
-        last = np.arange(len(tau_abs))
-        first = last - hold
-        whole = first >= 0
-        least[whole] = _over_ranges(over, first[whole], last[whole])
-    return np.where(np.isneginf(least), np.nan, least)
-
-
-def hold_lengths(t_ns: np.ndarray, hold_s: float) -> np.ndarray:
-    """Samples back to the latest that is hold_s old or older, (samples,), int64; k + 1 if there is none.
-
-    As in the alarm, it follows from stamps, not from a rate: with lost samples, fewer fill the same time.
-
-    Args:
-        t_ns: sample times, increasing, (samples,), [ns].
-    """
-    so_far, hold_ns, steps = np.arange(1, len(t_ns) + 1), round(hold_s * 1e9), np.diff(t_ns)
-    if len(steps) and (steps == steps[0]).all():  # regular recording: no search needed
-        return np.minimum(so_far, -(-hold_ns // int(steps[0])))
-    return so_far - np.searchsorted(t_ns, t_ns - hold_ns, side="right")
-
-
-def _one_length(hold: np.ndarray) -> int | None:
-    """Common hold time in samples, ignoring samples too close to the beginning; None if it varies."""
-    if hold.ndim == 0:
-        return int(hold)
-    length = int(hold[-1]) if len(hold) else 0
-    return length if (hold == np.minimum(np.arange(1, len(hold) + 1), length)).all() else None
-
-
-def _over_windows(values: np.ndarray, samples: int) -> np.ndarray:
-    """Least of every `samples` successive values, (len(values) - samples + 1 or 0,), by two overlapping blocks of
-    2^p."""
-    if samples > len(values):
-        return np.zeros(0)
-    power, table = samples.bit_length() - 1, values
-    for p in range(power):
-        table = np.minimum(table[: -(2**p)], table[2**p :])
-    rest = samples - 2**power
-    return np.minimum(table[:-rest], table[rest:]) if rest else table
-
-
-def _over_ranges(values: np.ndarray, first: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Least of values[first..last] for each pair of indices, first <= last, by two overlapping blocks of 2^p values.
-
-    Memory for one block size at a time; O(samples log of the longest range).
-    """
-    power = np.frexp(last - first + 1)[1] - 1
-    out = np.empty(len(first))
-    table = values  # table[i] = min(values[i .. i + 2^p - 1])
-    for p in range(int(power.max(initial=-1)) + 1):
-        if p:
-            half = 2 ** (p - 1)
-            table = np.minimum(table[:-half], table[half:])
-        now = power == p
-        out[now] = np.minimum(table[first[now]], table[last[now] - 2**p + 1])
-    return out

@@ -2,65 +2,31 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, replace
-from functools import partial
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
-from tauext.bundle.history_file import expect_journal
 from tauext.bundle.loss_history import read_loss_history
-from tauext.bundle.match import expect_fit
 from tauext.check.before_training import Rejected, check_for_bundle, expect_codes
 from tauext.check.finding import Finding
-from tauext.config import AlarmConfig, FreeMotionConfig, checked
-from tauext.data.dataset import Dataset, ahead
-from tauext.data.free_motion import LeftOut, SignalBounds
-from tauext.data.labels import labels_key, read_labels
-from tauext.data.recording import Recording
+from tauext.config import AlarmConfig, checked
+from tauext.data.dataset import Dataset
+from tauext.data.free_motion import LeftOut
 from tauext.errors import ConfigError
-from tauext.files.checkpoint import Checkpoint
-from tauext.files.kind import is_simulated
 from tauext.files.preflight import expect_new_file
-from tauext.files.provenance import VERSION, provenance
+from tauext.files.provenance import provenance
 from tauext.progress import SILENT, Reporter, WallTimes
 from tauext.train.declared_spread import Contacts, SpreadFound, put_spread, with_tool_forces
 from tauext.train.error_scale import collect_rows, fit_error_scale
-from tauext.train.held_peaks import KeptPeaks, PeakStore, collect_peaks
-from tauext.train.promised_limits import (
-    PromisedLimits,
-    apply_promised,
-    promised_limits,
-    put_limit_findings,
-    refuse_limits,
-    worse_promise,
-)
-from tauext.train.suspects import HeldStore, find_suspects, forget, suspect_facts, suspect_sentences
-
-SCALE_SHARE = 0.2
-"""Share of the calibration recordings for refitting the error scale."""
-
-
-def no_calibration(folder: Path | None) -> str:
-    """End of a message: a dataset without calibration recordings, and how to get some.
-
-    Args:
-        folder: of the dataset; None: its recordings are in memory.
-    """
-    more = (
-        "`tauext simulate --calibration-hours 24` makes some"
-        if folder is not None and is_simulated(folder)
-        else "record more of the arm's motion without touches, list the recordings as calibration in [split] of the "
-        "description, and import them"
-    )
-    return f"needs calibration recordings, which the dataset has none of; {more}"
+from tauext.train.limits import LIMITS, no_calibration, put_limit_findings, refuse_limits, worse_promise
+from tauext.train.paper_limits import LimitMotion, Loaders
+from tauext.train.promised_limits import counted, fitting, left_out_facts, no_freeze, remove_checkpoint
 
 
 @checked
@@ -73,8 +39,10 @@ def recalibrate(
     report: Reporter = SILENT,
     refit_error_scale: bool = False,
     accept: Sequence[str] = (),
-) -> PromisedLimits:
+) -> dict:
     """Write a copy of a bundle with limits for another promise or from other recordings; nothing is trained.
+
+    Returns facts of the limits, as the run file has them; `sentence` states the promise.
 
     The quick checks (tauext.check) run first on every recording: faults are refused, warnings are reported and stored.
     An interrupted run resumes after its last finished recording.
@@ -83,15 +51,15 @@ def recalibrate(
 
     Args:
         dataset: dataset with calibration recordings.
-        refit_error_scale: refit the error scale to the first SCALE_SHARE of the recordings; limits follow from the
-            others, since errors of a fit are too small on its own data.
+        refit_error_scale: refit the error scale to the first fifth of the recordings; limits follow from the others,
+            since errors of a fit are too small on its own data.
         accept: codes of findings that are accepted, CODE or CODE:joint; they are stored in the bundle.
 
     Raises:
         FaultyDataError: a recording, a limit or the promise has a fault that is not accepted; nothing is written.
         ConfigError: the dataset has no calibration recordings, or too few for refit_error_scale.
         BundleError: the bundle does not exist.
-        BundleError, TrainingError: see calibrate_bundle().
+        BundleError, TrainingError: see put_promised().
     """
     started = time.monotonic()
     expect_codes(accept)
@@ -106,30 +74,34 @@ def recalibrate(
         report.say(words)
         facts["rejected_in_calibration"] = asdict(rejected.summary())
     before = facts.get("limits") or {}
-    promised, facts["limits"] = calibrate_bundle(loaded, out.stem, loaders, alarm, threads, report=report, out=out)
-    compared, worse = worse_promise(before, promised, bundle.name)
+    motion = LimitMotion(out.stem, alarm, threads, report=report, note=report.say, calibration=loaders, out=out)
+    limits = facts["limits"] = LIMITS["promised"](loaded, motion)
+    compared, worse = worse_promise(before, limits, bundle.name)
     if compared:
         report.say(compared)
-        facts["limits"]["replaces"] = compared
+        limits["replaces"] = compared
     if not _core.WrenchModel(loaded).refused:
-        with report.progress("inject tool forces"):
-            spread = put_spread(loaded, with_tool_forces(loaded, loaders), injected=True, threads=threads)
-        facts["declared_spread"] = spread.facts()
-        report.say(spread.sentence())
+        facts["declared_spread"] = put_injected_spread(loaded, loaders, threads, report)
     settings: dict = {"bundle": bundle.name, "dataset": dataset.folder.resolve().name, "alarm": asdict(alarm)}
     if refit_error_scale:
         settings["refit_error_scale"] = True
     facts["calibrated"] = provenance("tauext calibrate", settings, seed=None)
     write_calibrated(loaded, out, facts, started, history, report, accept, worse)
     remove_checkpoint(out)
-    return promised
+    return limits
 
 
-def opened(
-    bundle: Path, dataset: Dataset, out: Path
-) -> tuple[Sequence[Callable[[], Recording]], _core.Bundle, Sequence[Any], dict]:
+def put_injected_spread(bundle: _core.Bundle, loaders: Loaders, threads: int, report: Reporter) -> dict:
+    """Set the limits during declared contacts by tool forces that are added to the recordings; returns facts."""
+    with report.progress("inject tool forces"):
+        spread = put_spread(bundle, with_tool_forces(bundle, loaders), injected=True, threads=threads)
+    report.say(spread.sentence())
+    return spread.facts()
+
+
+def opened(bundle: Path, dataset: Dataset, out: Path) -> tuple[Loaders, _core.Bundle, Sequence[Any], dict]:
     """Calibration recordings, the bundle, its loss history and provenance, before anything is done."""
-    loaders: Sequence[Callable[[], Recording]] = dataset.stretches("calibration")
+    loaders: Loaders = dataset.stretches("calibration")
     if not loaders:
         raise ConfigError(f"{dataset.folder}: calibrate {no_calibration(dataset.folder)}")
     expect_new_file(out)
@@ -202,17 +174,13 @@ def write_calibrated(
     write_bundle(bundle, out, facts, list(history), WallTimes({"calibrate": time.monotonic() - started}))
 
 
-def fitting(bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]]) -> Iterator[Recording]:
-    """Load the recordings one by one and check that they have the bundle's robot, rate and timing."""
-    for recording in ahead(loaders):
-        expect_fit(bundle, recording)
-        yield recording
-
-
 def refit_scale(
-    bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]], threads: int, report: Reporter = SILENT
-) -> tuple[Sequence[Callable[[], Recording]], dict]:
+    bundle: _core.Bundle, loaders: Loaders, threads: int, report: Reporter = SILENT, share: float = 0.2
+) -> tuple[Loaders, dict]:
     """Fit the error scale to the first recordings; returns the other loaders and facts for provenance.
+
+    Args:
+        share: of the recordings for the fit; the limits follow from the others.
 
     Raises:
         ConfigError: there is only one recording.
@@ -220,159 +188,10 @@ def refit_scale(
     """
     if len(loaders) < 2:
         raise ConfigError("refit-error-scale needs 2 calibration recordings or more: one to fit to, one for the limits")
-    apart = max(1, round(SCALE_SHARE * len(loaders)))
-    names: list[str] = []
+    apart = max(1, round(share * len(loaders)))
     left_out = LeftOut("calibration")
-
-    def load_some() -> Iterator[Recording]:
-        for recording in ahead(loaders[:apart]):
-            yield counted(bundle, recording, names, left_out)
-
     bundle.error_scale = _core.ErrorScaleSettings()
     with no_freeze(bundle):
-        facts = fit_error_scale(bundle, collect_rows(bundle, load_some(), threads))
-    return loaders[apart:], facts | {"recordings": names} | left_out_facts(left_out, report)
-
-
-def counted(bundle: _core.Bundle, recording: Recording, names: list[str], left_out: LeftOut) -> Recording:
-    """Return the recording after noting its name and counting impossible samples, which the bundle refuses itself."""
-    expect_fit(bundle, recording)
-    names.append(recording.name)
-    left_out.find(recording, bundle.observer, SignalBounds.of(bundle))
-    return recording
-
-
-def left_out_facts(left_out: LeftOut, report: Reporter) -> dict:
-    """Report impossible samples of the recordings; returns facts for provenance.
-
-    Raises:
-        TrainingError: too many samples are impossible.
-    """
-    left_out.expect_few()
-    if not left_out.found:
-        return {}
-    report.say(left_out.sentence())
-    return {"impossible": left_out.facts()}
-
-
-@contextmanager
-def no_freeze(bundle: _core.Bundle) -> Iterator[None]:
-    """Keep limits to be replaced from freezing the drift tracker while new ones are found."""
-    share, bundle.drift.freeze_share = bundle.drift.freeze_share, 0.0
-    try:
-        yield
-    finally:
-        bundle.drift.freeze_share = share
-
-
-def calibrate_bundle(
-    bundle: _core.Bundle,
-    name: str,
-    loaders: Sequence[Callable[[], Recording]],
-    alarm: AlarmConfig,
-    threads: int,
-    margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
-    report: Reporter = SILENT,
-    out: Path | None = None,
-    poses: Sequence[Sequence[float]] | None = None,
-) -> tuple[PromisedLimits, dict]:
-    """Set the bundle's limits from the recordings; returns their promise and facts for provenance.
-
-    A checkpoint beside `out`, the bundle to write, lets an interrupted run resume. The caller that writes the bundle
-    calls `remove_checkpoint`.
-
-    Args:
-        poses: of the arm's motion; None: those that the bundle keeps.
-
-    Raises:
-        BundleError: a recording of another robot, rate or torque timing.
-        TrainingError: no free motion, too few peaks, or too many impossible samples.
-    """
-    kept = kept_peaks(out, bundle, loaders, [asdict(alarm), asdict(margins)])
-    names = list(kept.names) if kept else []
-    for folder in folders_of(loaders):
-        expect_journal(folder)
-    left_out = LeftOut("calibration")
-    with report.progress(f"calibrate {name}") as show:
-
-        def load_all() -> Iterator[Recording]:
-            for recording in ahead(loaders[: len(names)]):  # their impossible samples are reported again
-                left_out.find(recording, bundle.observer, SignalBounds.of(bundle))
-            for recording in ahead(loaders[len(names) :]):
-                yield counted(bundle, recording, names, left_out)
-                show(len(names), len(loaders), "recordings")
-
-        with no_freeze(bundle):
-            store = HeldStore(kept)
-            found = collect_peaks(bundle, load_all(), alarm.holds_s, threads, margins=margins, kept=store)
-            labels = [label for folder in folders_of(loaders) for label in read_labels(folder)]
-            suspects = find_suspects(bundle, found[-1], lambda k: loaders[k](), labels, threads)
-            forget(store.collectors, suspects)
-    promised = set_limits(bundle, store, alarm, threads, len(suspects), margins, poses)
-    for words in suspect_sentences(suspects):
-        report.say(words)
-    units = dict(zip((link.joint_name for link in bundle.links), bundle.estimate_units, strict=True))
-    for moment in promised.moments:
-        report.say(moment.sentence(units[moment.joint]))
-    facts = promised.facts() | {"recordings": names} | left_out_facts(left_out, report)
-    return promised, facts | ({"suspected": suspect_facts(suspects)} if suspects else {})
-
-
-def set_limits(
-    bundle: _core.Bundle,
-    peaks: PeakStore,
-    alarm: AlarmConfig,
-    threads: int,
-    suspects: int,
-    margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
-    poses: Sequence[Sequence[float]] | None = None,
-) -> PromisedLimits:
-    """Set the bundle's limits by the peaks of its errors; returns their promise.
-
-    Args:
-        suspects: number of suspects that were left out of the peaks.
-        poses: see calibrate_bundle().
-
-    Raises:
-        TrainingError: no free motion, or too few peaks.
-    """
-    with no_freeze(bundle):
-        promised = promised_limits(bundle, lambda: [], alarm, threads, margins, kept=peaks, poses=poses)
-    promised = replace(promised, suspects=suspects)
-    apply_promised(bundle, promised, alarm)
-    return promised
-
-
-def kept_peaks(
-    out: Path | None, bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]], settings: list
-) -> KeptPeaks | None:
-    """Checkpoint of an interrupted run for these files and this bundle; None: none."""
-    if out is None or not all(isinstance(load, partial) for load in loaders):
-        return None
-    files = [(path.name, path.stat().st_size, path.stat().st_mtime_ns) for path in map(file_of, loaders)]
-    labels = sorted({labels_key(folder) for folder in folders_of(loaders)} - {""})
-    out.parent.mkdir(parents=True, exist_ok=True)
-    work = json.dumps([VERSION, hashlib.sha256(bundle.to_bytes()).hexdigest(), files, settings, *labels])
-    return KeptPeaks(Checkpoint(checkpoint_file(out), hashlib.sha256(work.encode()).hexdigest()))
-
-
-def folders_of(loaders: Sequence[Callable[[], Recording]]) -> list[Path]:
-    """Folders of the files that a dataset's loaders read; none for recordings in memory."""
-    folders = [file_of(load).parent for load in loaders if isinstance(load, partial)]
-    return list({str(one): one for one in folders}.values())
-
-
-def file_of(load: Callable[[], Recording]) -> Path:
-    """File that a dataset's loader reads."""
-    assert isinstance(load, partial)
-    return Path(load.args[0])
-
-
-def checkpoint_file(out: Path) -> Path:
-    """Path of the checkpoint for a bundle's limits."""
-    return out.with_suffix(".limits.half-done")
-
-
-def remove_checkpoint(out: Path) -> None:
-    """Delete the checkpoint after the bundle is written."""
-    checkpoint_file(out).unlink(missing_ok=True)
+        rows = collect_rows(bundle, counted(bundle, loaders[:apart], left_out), threads)
+        facts = fit_error_scale(bundle, rows)
+    return loaders[apart:], facts | {"recordings": list(rows.recordings)} | left_out_facts(left_out, report.say)

@@ -11,6 +11,7 @@ from tauext.data.dataset import Dataset
 from tauext.data.servo import in_amperes
 from tauext.progress import Reporter
 from tauext.robot.torque_limits import torque_limits
+from tauext.train.limits import limits_kind
 from tauext.train.preparation import Given, chosen_recordings, wants_constants
 
 
@@ -45,11 +46,6 @@ def check_results(dataset: Dataset, given: Given, config: TrainConfig, report: R
     limits_nm = None if given.case.no_model or no_torque else torque_limits(given.robot, training[0].joints)
     model = None if given.case.no_model else given.robot
     results = {"training": check_training([*training, *validation], model, limits_nm, unknown, config.threads, report)}
-    if uses_calibration(config) and dataset.split.calibration:
+    if dataset.split.calibration and limits_kind(config, dataset.split.calibration) == "promised":
         results["calibration"] = check_calibration(dataset.files("calibration"), limits_nm, config.threads, report)
     return results
-
-
-def uses_calibration(config: TrainConfig) -> bool:
-    """Whether limits use calibration recordings if there are any."""
-    return config.limits == "promised" or (config.limits == "auto" and not config.row.largest_error_limits)

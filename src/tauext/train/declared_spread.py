@@ -18,25 +18,29 @@ from tauext.bundle.estimates import COLLISION
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.fit.tail import duration, upper_rate
+from tauext.train.wrench import outermost
 
 Contacts = Sequence[tuple[_core.DeclaredContact, int, float]]
 """Contact, start [ns] and duration [s], by rising start."""
-USUAL = 3.0
-"""Spread without a measurement: by errors of their torque constants, 98 of 100 arms of seven joints stay within it."""
-ENOUGH_H = 1.0
-"""Hours of declared contact from which on a spread below USUAL is believed."""
-TRIED = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0, 20.0)
-"""Spreads that are tried, from the smallest on."""
-MOST_HOURS = 1.0
-"""Free motion to which tool forces are added."""
-PRESS_S, PAUSE_S, RISE_S = 5.0, 1.0, 0.2
-FORCE_N = (5.0, 60.0)
-"""Least and largest force that is added."""
-OF_LARGEST = 0.5
-"""Share of the largest torque of training beyond which no force loads a joint."""
-RUBBING = 0.04
-"""Gear friction under a load, as a share of it: 2 to 6 % (Bittencourt et al. 2010)."""
-HALF_ANGLE_DEG = 30.0
+
+
+@dataclass(frozen=True)
+class SpreadConfig:
+    """How the spread is found, and the tool that presses in free motion where no declared contacts are recorded."""
+
+    usual: float = 3.0
+    """Spread without a measurement: by errors of their torque constants, 98 of 100 arms of seven joints stay within
+    it. A smaller one detects more beside a contact."""
+    enough_h: float = 1.0
+    """Hours of declared contact from which on a spread below `usual` is believed, [h]."""
+    tried: tuple[float, ...] = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 14.0, 20.0)
+    """Spreads that are tried, from the smallest on."""
+    force_n: tuple[float, float] = (5.0, 60.0)
+    """Least and largest force that is added, [N]."""
+    of_largest: float = 0.5
+    """Share of the largest torque of training beyond which no force loads a joint."""
+    rubbing: float = 0.04
+    """Gear friction under a load, as a share of it: 2 to 6 % (Bittencourt et al. 2010)."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +49,7 @@ class SpreadFound:
 
     spread: float
     needed: float
-    """Least spread of TRIED without a false collision."""
+    """Least spread of those tried without a false collision."""
     hours: float
     """In which a declared force acted."""
     injected: bool
@@ -66,18 +70,24 @@ class SpreadFound:
         )
 
 
-def needed(bundle: _core.Bundle, recording: Recording, contacts: Contacts, threads: int = 0) -> tuple[float, float]:
-    """Least spread of TRIED without a false collision in this recording, infinite if there is none, and the hours.
+def needed(
+    bundle: _core.Bundle,
+    recording: Recording,
+    contacts: Contacts,
+    threads: int = 0,
+    tried: Sequence[float] = SpreadConfig.tried,
+) -> tuple[float, float]:
+    """Least spread of those tried without a false collision in this recording, infinite if there is none, and the hours
+    in which a declared force acted.
 
-    Hours count in which a declared force acted.
+    Args:
+        tried: spreads, from the smallest on.
     """
     signals = recording.t_ns, recording.q, recording.dq, recording.tau
-    tried = _core.Bundle.from_bytes(bundle.to_bytes())
-    hours = 0.0
-    for spread in TRIED:
-        tried.declared_spread = spread
-        threads = threads or os.cpu_count() or 1
-        found = _core.estimate(tried, *signals, threads, recording.temperature, contacts=contacts)
+    own, threads, hours = _core.Bundle.from_bytes(bundle.to_bytes()), threads or os.cpu_count() or 1, 0.0
+    for spread in tried:
+        own.declared_spread = spread
+        found = _core.estimate(own, *signals, threads, recording.temperature, contacts=contacts)
         acts = found["declared_size"] > 2 * found["declared_sigma"]
         hours = float(acts.sum() / recording.rate_hz / 3600)
         if not ((found["held_alarm"] == COLLISION) & (found["declared"] > 0)).any():
@@ -86,72 +96,72 @@ def needed(bundle: _core.Bundle, recording: Recording, contacts: Contacts, threa
 
 
 def put_spread(
-    bundle: _core.Bundle, motion: Iterable[tuple[Recording, Contacts]], injected: bool, threads: int = 0
+    bundle: _core.Bundle,
+    motion: Iterable[tuple[Recording, Contacts]],
+    injected: bool,
+    threads: int = 0,
+    config: SpreadConfig = SpreadConfig(),
 ) -> SpreadFound:
     """Set the bundle's spread so that this motion has no false collision.
 
-    It falls below USUAL only by ENOUGH_H hours of declared contacts, not by injected forces, whose errors are drawn.
+    It falls below the usual one by hours of declared contacts only, not by injected forces, whose errors are drawn.
 
     Raises:
-        ConfigError: none of TRIED is enough for declared contacts. With injected forces such a recording is left out.
+        ConfigError: no spread is enough for declared contacts. With injected forces such a recording is left out.
     """
     most, hours = 0.0, 0.0
     for recording, contacts in motion:
-        of_this, time_h = needed(bundle, recording, contacts, threads)
+        of_this, time_h = needed(bundle, recording, contacts, threads, config.tried)
         if math.isinf(of_this) and injected:
             continue  # a false alarm of free motion: a glitch, say
         if math.isinf(of_this):
             raise ConfigError(
-                f"{recording.name}: the declared contact leaves torques over the limits, even with {TRIED[-1]:g} "
-                "standard errors of what it explains: something hits the arm, or the contact is not as declared"
+                f"{recording.name}: the declared contact leaves torques over the limits, even with "
+                f"{config.tried[-1]:g} standard errors of what it explains: something hits the arm, or the contact is "
+                "not as declared"
             )
         most, hours = max(most, of_this), hours + time_h
     if hours:
-        bundle.declared_spread = max(most, 0.0 if not injected and hours >= ENOUGH_H else USUAL)
+        bundle.declared_spread = max(most, 0.0 if not injected and hours >= config.enough_h else config.usual)
     return SpreadFound(bundle.declared_spread, most, hours, injected)
 
 
 # --- Tool forces added to free motion.
 
 
-def tool_frame(bundle: _core.Bundle) -> str:
-    """The load's frame; without one the last link."""
-    load = bundle.load_settings
-    return load.frame if load.link >= 0 else bundle.links[-1].joint_name
-
-
 def pressed(
-    bundle: _core.Bundle, recording: Recording, rng: np.random.Generator
+    bundle: _core.Bundle, recording: Recording, rng: np.random.Generator, config: SpreadConfig = SpreadConfig()
 ) -> tuple[Recording, _core.DeclaredContact, float] | None:
-    """The recording with a tool that presses, off and on, and its declared contact; None: no joint shows a force.
+    """The recording with a tool that presses, off and on, its declared contact and its force, [N]; None: no joint shows
+    a force.
 
     A stiff arm keeps its path, so the motors take the force up, as in `Injection`. Torque constants are wrong by their
-    standard errors, drawn for this recording, and gear friction grows by RUBBING of the load. The third value is the
-    force, [N].
+    standard errors, drawn for this recording, and gear friction grows with the load.
     """
     model = _core.WrenchModel(bundle)
     if model.refused:
         return None
-    frame, way = tool_frame(bundle), rng.standard_normal(3)
+    frame, way = outermost(bundle), rng.standard_normal(3)
     way /= np.linalg.norm(way)
     lever = np.array([way @ model.columns(frame, q)[:3] for q in recording.q.tolist()])
     reach = np.abs(lever).max(axis=0)
     joints = np.array(bundle.in_newtons) & np.isfinite(bundle.largest_torque_nm)
     strong = np.array(bundle.largest_torque_nm)[joints] / np.maximum(reach[joints], 1e-9)
-    most_n = min(FORCE_N[1], OF_LARGEST * float(np.min(strong, initial=np.inf)))
+    most_n = min(config.force_n[1], config.of_largest * float(np.min(strong, initial=np.inf)))
     if not (reach[joints] > 1e-3).any():
         return None
-    force_n = rng.uniform(min(FORCE_N[0], most_n), most_n)
+    force_n = rng.uniform(min(config.force_n[0], most_n), most_n)
     share = np.array([bundle.wrench_settings.own_share(j) for j in range(bundle.joints)])
-    of_cycle = np.mod(recording.time_s - rng.uniform(0, PRESS_S), PRESS_S + PAUSE_S)
-    shape = np.clip(np.minimum(of_cycle, PRESS_S - of_cycle) / RISE_S, 0.0, 1.0)
+    # It presses for 5 s and lifts for 1 s; its force rises and falls within 0.2 s.
+    of_cycle = np.mod(recording.time_s - rng.uniform(0, 5.0), 6.0)
+    shape = np.clip(np.minimum(of_cycle, 5.0 - of_cycle) / 0.2, 0.0, 1.0)
     torque = force_n * shape[:, None] * lever
     torque[:, ~np.array(bundle.in_newtons)] = 0
-    measured = (1 + rng.normal(0, share)) * torque - RUBBING * np.abs(torque) * np.tanh(recording.dq / 0.05)
+    measured = (1 + rng.normal(0, share)) * torque - config.rubbing * np.abs(torque) * np.tanh(recording.dq / 0.05)
     tau = recording.tau - measured / np.array(bundle.observer.nm_per_unit or 1.0)
     bounds = {"frame": frame, "axis": way.tolist(), "axes": _core.WrenchAxes.base, "at_most_n": 1.25 * force_n}
     monitor = _core.Monitor(bundle)
-    for half_angle_deg in (HALF_ANGLE_DEG, 0.0):
+    for half_angle_deg in (30.0, 0.0):
         contact = _core.DeclaredContact(**bounds, half_angle_deg=half_angle_deg)
         if not monitor.why_no_contact(contact):
             touched = replace(recording, tau=tau, contact=None, contact_link=None, tau_ext=None, tau_ext_sensor=None)
@@ -160,15 +170,15 @@ def pressed(
 
 
 def with_tool_forces(
-    bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]], seed: int = 0
+    bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]], most_hours: float = 1.0
 ) -> Iterable[tuple[Recording, Contacts]]:
-    """Up to MOST_HOURS of these recordings, with a tool that presses; each has a force and errors of its own."""
+    """Some hours of these recordings with a tool that presses; each has a force and errors of its own."""
     hours = 0.0
     for number, load in enumerate(loaders):
-        if hours >= MOST_HOURS:
+        if hours >= most_hours:
             return
         recording = load()
         hours += recording.duration_s / 3600
-        found = pressed(bundle, recording, np.random.default_rng([seed, number, 65]))
+        found = pressed(bundle, recording, np.random.default_rng([0, number, 65]))
         if found is not None:
             yield found[0], [(found[1], int(recording.t_ns[0]), math.inf)]

@@ -16,7 +16,6 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
@@ -24,16 +23,14 @@ from scipy.optimize import minimize
 
 from tauext import _core
 from tauext.bundle.estimates import STALE
-from tauext.config import AlarmConfig, DriftConfig, FreeMotionConfig, warm_up_s
-from tauext.data.free_motion import cut, free_samples, standing_joints
+from tauext.config import DriftConfig, FreeMotionConfig, warm_up_s
+from tauext.data.free_motion import cut, free_samples
 from tauext.data.recording import Recording
 from tauext.errors import TrainingError
 
 # --- Samples of free motion from which limits follow, and the bundle's error there.
 
 
-AT_A_TIME = 4
-"""Most recordings estimated at a time."""
 FOR_ERRORS = ("tau_ext", "doubt", "limit_scale")
 """Torque columns of the estimates that the error follows from."""
 
@@ -68,21 +65,6 @@ def whole_recordings(judged: Sequence[Recording | Judged]) -> list[Recording]:
     return list({id(r): r for r in (one.recording if isinstance(one, Judged) else one for one in judged)}.values())
 
 
-def errors(
-    bundle: _core.Bundle, judged: Recording | Judged, threads: int, margins: FreeMotionConfig
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Times, |tau_ext|, region and which samples count: (samples,), 2 x (samples, joints) and (samples,) bool.
-
-    |tau_ext| is divided by the bundle's error scale, if any, which gives its size in usual motion.
-
-    Samples of free motion within the span count where tau_ext is compared with limits; that includes saturated drives,
-    although they are unhealthy. The recording runs through the chain from its start, so that filters are warm at the
-    span's start, to the end of the span.
-    """
-    motion, estimates, error, counted = judge(bundle, judged, threads, margins)
-    return motion.t_ns, error, estimates["near_stiction"].astype(bool), counted
-
-
 def judge(
     bundle: _core.Bundle,
     judged: Recording | Judged,
@@ -90,7 +72,11 @@ def judge(
     margins: FreeMotionConfig,
     torques: Sequence[str] = FOR_ERRORS,
 ) -> tuple[Recording, dict[str, np.ndarray], np.ndarray, np.ndarray]:
-    """The motion up to the end of the span, its estimates, and |tau_ext| and counted samples as in errors().
+    """The motion up to the end of the span, its estimates, |tau_ext|, (samples, joints), and which samples count.
+
+    |tau_ext| is divided by the bundle's error scale, if any, which gives its size in usual motion. Samples of free
+    motion within the span count where tau_ext is compared with limits; that includes saturated drives, although they
+    are unhealthy. The recording runs through the chain from its start, so that filters are warm at the span's start.
 
     Args:
         torques: torque columns of the estimates, FOR_ERRORS at least.
@@ -120,14 +106,14 @@ def judge_all(
     margins: FreeMotionConfig,
     torques: Sequence[str] = FOR_ERRORS,
 ) -> Iterator[tuple[Recording, dict[str, np.ndarray], np.ndarray, np.ndarray]]:
-    """Yield judge() of each, in order. Up to AT_A_TIME are estimated at a time, since only the network's part of an
-    estimate runs in several threads.
+    """Yield judge() of each, in order. Up to four are estimated at a time, since only the network's part of an estimate
+    runs in several threads.
 
     Args:
         threads: 0: one a core.
     """
     threads = threads or os.cpu_count() or 1
-    workers = min(threads, AT_A_TIME)
+    workers = min(threads, 4)
     with ThreadPoolExecutor(workers) as pool:
         coming: deque[Future] = deque()
         for one in judged:
@@ -148,147 +134,32 @@ def no_free_motion(bundle: _core.Bundle, margins: FreeMotionConfig) -> TrainingE
     )
 
 
-# --- The paper's limits: the largest values in free motion not used in training.
-
-
-LIMIT_KINDS = ("sliding", "near_stiction", "contact_sliding", "contact_near_stiction")
-
-
-@dataclass(frozen=True)
-class LevelLimits:
-    """Limits of |tau_ext| of one level of the alarm, [N m]."""
-
-    sliding_nm: np.ndarray  # (n,)
-    near_stiction_nm: np.ndarray  # (n,), for |dq| below the bundle's near_stiction_rad_s
-
-    def of_arm(self, watched: np.ndarray, joints: int) -> LevelLimits:
-        """These limits of the watched joints, (watched,) indices, among all joints; infinite for the others."""
-        level = np.full((2, joints), np.inf)
-        level[:, watched] = self.sliding_nm, self.near_stiction_nm
-        return LevelLimits(level[0], level[1])
-
-    def put(self, bundle: _core.Bundle, level: Literal["", "contact_"]) -> None:
-        """Set a bundle's limits of a collision, or of a contact; those of joints that are not monitored stay
-        infinite."""
-        for region, limits in (("sliding", self.sliding_nm), ("near_stiction", self.near_stiction_nm)):
-            setattr(bundle, f"{level}{region}_limit_nm", np.where(bundle.monitored, limits, np.inf).tolist())
-
-
-def paper_limits(
-    bundle: _core.Bundle,
-    recordings: Sequence[Recording | Judged],
-    threads: int,
-    margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
-) -> LevelLimits:
-    """Largest |tau_ext| of each joint on validation free motion [Lim2021], in each region as the paper suggests.
-
-    A joint that was never near stiction, or has smaller errors there, gets the sliding limit in both regions: friction
-    at rest is no more certain than in motion. A joint that never slid gets its limit at rest in both regions; its
-    errors in motion are unknown, and `warning` states it. Contacts, with margins, are left out.
-
-    Raises:
-        TrainingError: no healthy sample of free motion, or |tau_ext| of a joint is zero throughout.
-    """
-    n = bundle.joints
-    sliding, near, samples = np.zeros(n), np.zeros(n), 0
-    for recording in recordings:
-        _, error, stuck, counted = errors(bundle, recording, threads, margins)
-        error, stuck = error[counted], stuck[counted]
-        sliding = np.maximum(sliding, np.where(stuck, 0, error).max(axis=0, initial=0))
-        near = np.maximum(near, np.where(stuck, error, 0).max(axis=0, initial=0))
-        samples += len(error)
-    if samples == 0:
-        raise no_free_motion(bundle, margins)
-    sliding[~np.array(bundle.monitored)] = np.inf
-    if (np.maximum(sliding, near) == 0).any():
-        name = bundle.links[int(np.argmin(np.maximum(sliding, near)))].joint_name
-        raise TrainingError(
-            f"joint '{name}': |tau_ext| is zero throughout the validation recordings, so its limit cannot be found; "
-            "is its torque recorded?"
-        )
-    stand = standing_joints([r.recording if isinstance(r, Judged) else r for r in recordings])
-    both = np.maximum(sliding, near)
-    sliding = np.where(stand | (sliding == 0), both, sliding)
-    return LevelLimits(sliding, both)
-
-
-def ignore_standing(bundle: _core.Bundle, recordings: Sequence[Recording]) -> str:
-    """Give joints that stand still in all recordings, while others move, infinite limits; returns a sentence.
-
-    Their friction in motion is unknown, and limits of a locked joint would be those of rounding. If no joint moves, all
-    keep limits that hold at this pose. Call it first: whatever sets limits later leaves infinite ones.
-    """
-    stand = standing_joints(recordings)
-    if stand.all():
-        return "limits at rest only: no joint moves in the recordings; in motion expect false alarms"
-    if not stand.any():
-        return ""
-    for kind in LIMIT_KINDS:
-        name = f"{kind}_limit_nm"
-        setattr(bundle, name, np.where(stand, np.inf, getattr(bundle, name)).tolist())
-    names = [link.joint_name for link, stands in zip(bundle.links, stand, strict=True) if stands]
-    verb = "never moves" if len(names) == 1 else "never move"
-    return f"{', '.join(names)} {verb} in the recordings: not monitored; move every joint that is to be monitored"
-
-
-def blind_sigma(bundle: _core.Bundle) -> None:
-    """Give joints that are not monitored the arm's largest torque as standard error: forces do not follow them."""
-    blind = ~np.array(bundle.monitored)
-    scale, most_nm = bundle.error_scale, float(np.max(bundle.largest_torque_nm))
-    for name in ("sigma_weights", "sigma_near_weights"):
-        weights = np.array(getattr(scale, name)).reshape(bundle.joints, -1)
-        weights[blind] = [most_nm, *[0.0] * (weights.shape[1] - 1)]
-        setattr(scale, name, weights.ravel().tolist())
-    scale.largest_sigma = np.where(blind, most_nm, scale.largest_sigma).tolist()
-    bundle.error_scale = scale
-
-
-def set_limits(bundle: _core.Bundle, limits: LevelLimits, alarm: AlarmConfig) -> None:
-    """Set limits and hold times of a bundle. The paper has one limit: contact and collision differ in hold time
-    only."""
-    limits.put(bundle, "")
-    limits.put(bundle, "contact_")
-    bundle.hold_s = alarm.collision_hold_s
-    bundle.contact_hold_s = alarm.contact_hold_s
-    bundle.contact_release_s = alarm.contact_release_s
-
-
-def raise_limits(bundle: _core.Bundle, factor: float, by_nm: np.ndarray | float = 0.0) -> None:
-    """Multiply all limits of a bundle by `factor` and add `by_nm`, one a joint or for all, [N m]."""
-    for kind in LIMIT_KINDS:
-        name = f"{kind}_limit_nm"
-        setattr(bundle, name, (factor * np.array(getattr(bundle, name)) + by_nm).tolist())
-
-
-def usual_speed_rad_s(recordings: Sequence[Recording | Judged]) -> np.ndarray:
-    """Largest 95 % quantile of each joint's speed over the recordings, (n,), [rad/s]."""
-    speeds = [np.quantile(np.abs(recording.dq), 0.95, axis=0) for recording in whole_recordings(recordings)]
-    return np.max(speeds, axis=0)
-
-
 # --- The error scale.
 
 
 FEATURES = tuple(_core.MotionFeature)
-SHARP_HOURS = 1.0
-"""Hours of held-out motion from which the limits' scale is fitted to the largest errors, with power SHARP ..."""
-SHARP, BLUNT = 8.0, 4.0
-"""... and below which to all errors, with power BLUNT."""
-STOOD_S = 60.0
-"""Least time at rest for a limit at rest. A joint that rested less gets at least the limit of usual motion, since
-friction at rest may hide more."""
-LEAST_CONSTANT = 0.05
-"""Least constant as a share of usual motion's scale, which keeps limits above zero."""
-STANDS_RAD_S = 0.002
-"""Speed below which a joint rests."""
-MOST_ROWS = 1_000_000
-"""Largest number of rows: over an hour and a half at the network's rate."""
-LEAST_ROWS = 300
-"""A region with fewer rows uses the standard error of both."""
-RESERVE_SPEED_RAD_S = 3.0
-"""Speed up to which the friction reserve grows."""
-ONE_SIGMA = 0.6827
-"""Share of normal errors within one standard error; sigma is scaled to it."""
+
+
+@dataclass(frozen=True)
+class ErrorScaleConfig:
+    """How the error scale is fitted."""
+
+    sharp_hours: float = 1.0
+    """Hours of held-out motion from which the limits' scale is fitted to the largest errors, with power `sharp` ..."""
+    sharp: float = 8.0
+    blunt: float = 4.0
+    """... and below which to all errors, with this power: few hours have few large errors."""
+    stood_s: float = 60.0
+    """Least time at rest for a limit at rest, [s]. A joint that rested less gets at least the limit of usual motion,
+    since friction at rest may hide more."""
+    rests_rad_s: float = 0.002
+    """Speed below which a joint rests, [rad/s]."""
+    least_constant: float = 0.05
+    """Least constant as a share of usual motion's scale, which keeps limits above zero."""
+    most_rows: int = 1_000_000
+    """Largest number of rows: over an hour and a half at the network's rate."""
+    least_rows: int = 300
+    """A region with fewer rows uses the standard error of both."""
 
 
 @dataclass(frozen=True)
@@ -303,6 +174,7 @@ class ErrorRows:
     t_ns: np.ndarray  # (rows,)
     recording: np.ndarray  # (rows,): its number in `recordings`
     recordings: tuple[str, ...]
+    config: ErrorScaleConfig = ErrorScaleConfig()
 
     @property
     def hours(self) -> float:
@@ -312,23 +184,21 @@ class ErrorRows:
     @property
     def power(self) -> float:
         """p of the limits' scale."""
-        return SHARP if self.hours >= SHARP_HOURS else BLUNT
+        return self.config.sharp if self.hours >= self.config.sharp_hours else self.config.blunt
+
+    def scale(self, weights: np.ndarray) -> np.ndarray:
+        """The scale with these weights, (joints, features), in each row, (rows, joints)."""
+        return np.einsum("rjf,jf->rj", self.features, weights)
 
     def of_joints(self, chosen: np.ndarray) -> ErrorRows:
         """The rows of these joints alone, (chosen,) indices."""
-        error, near, features = (one[:, chosen] for one in (self.error_nm, self.near_stiction, self.features))
-        return replace(self, error_nm=error, near_stiction=near, features=features)
+        names = ("error_nm", "near_stiction", "features")
+        return replace(self, **{name: getattr(self, name)[:, chosen] for name in names})
 
     def only(self, inside: np.ndarray) -> ErrorRows:
         """Select rows, by (rows,) bool or indices."""
-        return replace(
-            self,
-            error_nm=self.error_nm[inside],
-            near_stiction=self.near_stiction[inside],
-            features=self.features[inside],
-            t_ns=self.t_ns[inside],
-            recording=self.recording[inside],
-        )
+        names = ("error_nm", "near_stiction", "features", "t_ns", "recording")
+        return replace(self, **{name: getattr(self, name)[inside] for name in names})
 
 
 def fit_error_scale(
@@ -355,37 +225,52 @@ def put_constant_error(bundle: _core.Bundle, rows: ErrorRows) -> None:
     scale = _core.ErrorScaleSettings()
     scale.features = [_core.MotionFeature.constant]
     scale.limit_weights = scale.largest = [1.0] * bundle.joints
-    regions = []
-    for inside in (~rows.near_stiction, rows.near_stiction):
-        enough = inside.sum(axis=0) >= LEAST_ROWS
-        errors = [rows.error_nm[inside[:, j] if enough[j] else slice(None), j] for j in range(bundle.joints)]
-        regions.append([float(sigma_weights(np.ones((len(one), 1)), one)[0]) for one in errors])
-    scale.sigma_weights, scale.sigma_near_weights = regions
-    scale.largest_sigma = np.max(regions, axis=0).tolist()
+    by_region = region_weights(rows, np.ones((*rows.error_nm.shape, 1)))[:, :, 0]
+    scale.sigma_weights, scale.sigma_near_weights = by_region.tolist()
+    scale.largest_sigma = by_region.max(axis=0).tolist()
     bundle.error_scale = scale
     blind_sigma(bundle)
 
 
+def blind_sigma(bundle: _core.Bundle) -> None:
+    """Give joints that are not monitored the arm's largest torque as standard error: forces do not follow them."""
+    blind = ~np.array(bundle.monitored)
+    scale, most_nm = bundle.error_scale, float(np.max(bundle.largest_torque_nm))
+    for name in ("sigma_weights", "sigma_near_weights"):
+        weights = np.array(getattr(scale, name)).reshape(bundle.joints, -1)
+        weights[blind] = [most_nm, *[0.0] * (weights.shape[1] - 1)]
+        setattr(scale, name, weights.ravel().tolist())
+    scale.largest_sigma = np.where(blind, most_nm, scale.largest_sigma).tolist()
+    bundle.error_scale = scale
+
+
 def scale_of(rows: ErrorRows) -> _core.ErrorScaleSettings:
     """Fit an error scale to these rows."""
-    joints = rows.error_nm.shape[1]
-    weights = np.array([limit_weights(rows, j) for j in range(joints)])
+    weights = np.array([limit_weights(rows, j) for j in range(rows.error_nm.shape[1])])
+    sliding, near = region_weights(rows, rows.features)
     scale = _core.ErrorScaleSettings()
     scale.features = list(FEATURES)
     scale.limit_weights = weights.ravel().tolist()
-    scale.largest = np.einsum("rjf,jf->rj", rows.features, weights).max(axis=0).tolist()
-    sliding: list[np.ndarray] = []
-    near: list[np.ndarray] = []
-    for j in range(joints):
-        error, features, stuck = rows.error_nm[:, j], rows.features[:, j], rows.near_stiction[:, j]
-        both = sigma_weights(features, error)
-        for inside, into in ((~stuck, sliding), (stuck, near)):
-            into.append(sigma_weights(features[inside], error[inside]) if inside.sum() >= LEAST_ROWS else both)
-    scale.sigma_weights = np.concatenate(sliding).tolist()
-    scale.sigma_near_weights = np.concatenate(near).tolist()
-    of_sliding, of_near = (np.einsum("rjf,jf->rj", rows.features, np.array(weights)) for weights in (sliding, near))
-    scale.largest_sigma = np.where(rows.near_stiction, of_near, of_sliding).max(axis=0).tolist()
+    scale.largest = rows.scale(weights).max(axis=0).tolist()
+    scale.sigma_weights, scale.sigma_near_weights = sliding.ravel().tolist(), near.ravel().tolist()
+    sigma = np.where(rows.near_stiction, rows.scale(near), rows.scale(sliding))
+    scale.largest_sigma = sigma.max(axis=0).tolist()
     return scale
+
+
+def region_weights(rows: ErrorRows, features: np.ndarray) -> np.ndarray:
+    """Weights of the standard error sliding and near stiction, (2, joints, features); a region with too few rows has
+    those of both.
+
+    Args:
+        features: (rows, joints, features).
+    """
+    found = []
+    for inside in (~rows.near_stiction, rows.near_stiction):
+        enough = inside.sum(axis=0) >= rows.config.least_rows
+        chosen = [inside[:, j] if enough[j] else slice(None) for j in range(len(enough))]
+        found.append([sigma_weights(features[at, j], rows.error_nm[at, j]) for j, at in enumerate(chosen)])
+    return np.array(found)
 
 
 def add_friction(bundle: _core.Bundle, share: float, at_rest_nm: np.ndarray, per_speed: np.ndarray) -> None:
@@ -398,37 +283,22 @@ def add_friction(bundle: _core.Bundle, share: float, at_rest_nm: np.ndarray, per
     weights = np.array(scale.limit_weights).reshape(bundle.joints, -1)
     weights[:, FEATURES.index(_core.MotionFeature.constant)] += share * at_rest_nm / level
     weights[:, FEATURES.index(_core.MotionFeature.speed)] += share * per_speed / level
-    # The bound was the largest scale in training motion; add at most the friction at a very high speed.
-    scale.largest = (np.array(scale.largest) + share * (at_rest_nm + per_speed * RESERVE_SPEED_RAD_S) / level).tolist()
+    # The bound was the largest scale in training motion; add at most the friction at a very high speed, 3 rad/s.
+    scale.largest = (np.array(scale.largest) + share * (at_rest_nm + per_speed * 3.0) / level).tolist()
     scale.limit_weights = weights.ravel().tolist()
     bundle.error_scale = scale
 
 
-@dataclass(frozen=True)
-class LeftOutErrors:
-    """Limits that follow the error, on motion not used in training."""
-
-    usual_limit_nm: np.ndarray  # (joints,): sliding, in usual motion
-    limit_nm: np.ndarray  # (rows, joints)
-
-
-def left_out_errors(
-    bundle: _core.Bundle, judged: Iterable[Recording | Judged], threads: int, margins: FreeMotionConfig
-) -> LeftOutErrors:
-    """Find limits from the largest standardised errors, which this motion does not exceed.
-
-    Raises:
-        TrainingError: no free motion.
-    """
-    rows = collect_rows(bundle, judged, threads, margins)
-    weights = np.array([limit_weights(rows, j) for j in range(bundle.joints)])
-    scale = np.einsum("rjf,jf->rj", rows.features, weights)
+def largest_standardised(rows: ErrorRows) -> tuple[np.ndarray, np.ndarray]:
+    """Limits that follow the error and that these rows do not exceed: sliding in usual motion, (joints,), and in each
+    row, (rows, joints), [N m]."""
+    scale = rows.scale(np.array([limit_weights(rows, j) for j in range(rows.error_nm.shape[1])]))
     sliding, near = (
         np.where(inside, rows.error_nm / scale, 0).max(axis=0) for inside in (~rows.near_stiction, rows.near_stiction)
     )
     near = np.maximum(sliding, near)
     sliding = np.where(sliding > 0, sliding, near)  # a joint that never slid
-    return LeftOutErrors(sliding, np.where(rows.near_stiction, near, sliding) * scale)
+    return sliding, np.where(rows.near_stiction, near, sliding) * scale
 
 
 def freeze_floor_nm(error_nm: np.ndarray, config: DriftConfig, period_s: float) -> np.ndarray:
@@ -452,8 +322,9 @@ def collect_rows(
     judged: Iterable[Recording | Judged],
     threads: int,
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
+    config: ErrorScaleConfig = ErrorScaleConfig(),
 ) -> ErrorRows:
-    """Collect errors and features of free motion, one row a network period, thinned to at most MOST_ROWS.
+    """Collect errors and features of free motion, one row a network period, thinned to at most config.most_rows.
 
     Raises:
         TrainingError: no free motion.
@@ -472,25 +343,25 @@ def collect_rows(
         number = np.full(len(at), numbers.setdefault(r.name, len(numbers)))
         found.append((error[at], near[at].astype(bool), motion["features"], r.t_ns[at], number))
         count += len(at)
-        if count > MOST_ROWS:  # thin out evenly
+        if count > config.most_rows:  # thin out evenly
             found = [tuple(column[::2] for column in rows) for rows in found]
             count, stride = sum(len(rows[0]) for rows in found), 2 * stride
     if not found:
         raise no_free_motion(bundle, margins)
     error, near, features, t_ns, number = (np.concatenate(column) for column in zip(*found, strict=True))
     period_s = 1e-9 * bundle.observer.sample_period_ns * stride
-    return ErrorRows(error, near, features, period_s, t_ns, number, tuple(numbers))
+    return ErrorRows(error, near, features, period_s, t_ns, number, tuple(numbers), config)
 
 
 def limit_weights(rows: ErrorRows, joint: int) -> np.ndarray:
-    """Weights of a joint's limits, (features,): the scale's median is 1, and it is never below LEAST_CONSTANT."""
-    features = rows.features[:, joint]
+    """Weights of a joint's limits, (features,): the scale's median is 1, and it is never below its least constant."""
+    features, config = rows.features[:, joint], rows.config
     weights = fit_weights(features, rows.error_nm[:, joint], rows.power)
     weights = weights / float(np.median(features @ weights))
-    weights[0] = max(weights[0], LEAST_CONSTANT)
+    weights[0] = max(weights[0], config.least_constant)
     speed, standstill = (FEATURES.index(kind) for kind in (_core.MotionFeature.speed, _core.MotionFeature.standstill))
-    stood_s = 3600 * rows.hours * float(np.mean(features[:, speed] < STANDS_RAD_S))
-    if stood_s < STOOD_S:
+    stood_s = 3600 * rows.hours * float(np.mean(features[:, speed] < config.rests_rad_s))
+    if stood_s < config.stood_s:
         weights[standstill] = max(weights[standstill], 1.0 - weights[0])
     return weights
 
@@ -512,7 +383,7 @@ def sigma_weights(features: np.ndarray, error: np.ndarray) -> np.ndarray:
     """
     weights = fit_weights(features, error, 2.0)
     sigma = features @ weights
-    scaled = weights * float(np.quantile(error / sigma, ONE_SIGMA))
+    scaled = weights * float(np.quantile(error / sigma, 0.6827))  # normal errors within one standard error
     rms = float(np.sqrt(np.mean(error**2)))
     return scaled if scaled.any() else np.r_[max(rms, 1e-6), np.zeros(len(weights) - 1)]
 
@@ -536,7 +407,7 @@ def fit_weights(features: np.ndarray, error: np.ndarray, power: float) -> np.nda
         return value, (F / sigma[:, None]).mean(axis=0) - (F / sigma[:, None]).T @ high / total
 
     start = np.full(F.shape[1], 1.0 / F.shape[1])
-    bounds = [(LEAST_CONSTANT / 10, None)] + [(0, None)] * (F.shape[1] - 1)
+    bounds = [(0.005, None)] + [(0, None)] * (F.shape[1] - 1)
     found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 200})
     weights = np.zeros(len(size))
     weights[used] = np.maximum(found.x, [low for low, _ in bounds]) / size[used]  # SciPy may end at -1e-19

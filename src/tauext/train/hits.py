@@ -11,12 +11,6 @@ import numpy as np
 from tauext import _core
 from tauext.errors import BundleError, ConfigError
 
-WAYS = 100
-"""Directions on half a sphere; the other half is the same by symmetry. Each represents a cone of 8 degrees."""
-HIT_POSES = 16
-LEAST_LEVER_M = 1e-3
-"""A force with a shorter lever about every joint is felt by none."""
-
 
 @dataclass(frozen=True)
 class Point:
@@ -59,10 +53,13 @@ def points(bundle: _core.Bundle, frames: Sequence[str] = ()) -> list[Point]:
     return found + [Point(f"frame {name}", name) for name in dict.fromkeys(frames)]
 
 
-def even_ways() -> np.ndarray:
-    """WAYS unit vectors, even on half a sphere: a Fibonacci lattice, (WAYS, 3)."""
-    k = np.arange(WAYS) + 0.5
-    z, turn = k / WAYS, np.pi * (1 + np.sqrt(5)) * k
+def even_ways(count: int = 100) -> np.ndarray:
+    """Unit vectors, even on half a sphere: a Fibonacci lattice, (count, 3).
+
+    The other half is the same by symmetry. Each of 100 represents a cone of 8 degrees.
+    """
+    k = np.arange(count) + 0.5
+    z, turn = k / count, np.pi * (1 + np.sqrt(5)) * k
     flat = np.sqrt(1 - z**2)
     return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
 
@@ -99,11 +96,11 @@ def hits(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | None) -> np.nd
     if not len(q):
         return alone
     ways, known = even_ways(), np.array(bundle.in_newtons)
-    few = q[:: max(1, len(q) // HIT_POSES)].tolist()
+    few = q[:: max(1, len(q) // 16)].tolist()
     felt = []
     for point in points(bundle):
         lever = np.array([model.columns(point.frame, q, list(point.point_m))[:3].T for q in few])
         felt.append((lever @ ways.T).transpose(0, 2, 1).reshape(-1, bundle.joints) * known)
     found = np.concatenate(felt)
-    found = found[np.abs(found).max(axis=1) > LEAST_LEVER_M]
+    found = found[np.abs(found).max(axis=1) > 1e-3]  # no joint feels a force with a lever below a millimetre
     return np.concatenate([found, np.repeat(alone[~known], len(felt[0]), axis=0)]) if len(found) else alone

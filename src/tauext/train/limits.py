@@ -2,131 +2,118 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
 from tauext._core import Bundle
+from tauext.check.before_training import expect_accepted
+from tauext.check.finding import Finding, Severity
+from tauext.check.sensors import torque_step_nm
 from tauext.config import TrainConfig
-from tauext.data.free_motion import total_s
 from tauext.data.recording import Recording
-from tauext.errors import ConfigError, TrainingError
+from tauext.errors import ConfigError
+from tauext.files.kind import is_simulated
 from tauext.fit.bundle_writing import freeze_drift, make_bundle
-from tauext.fit.prior_facts import friction_nm
 from tauext.fit.prior_terms import PriorFit
+from tauext.fit.tail import duration, promised_per_hour
 from tauext.fit.training_set import Setup
-from tauext.train.calibrate import calibrate_bundle, no_calibration
 from tauext.train.error_scale import (
-    ErrorRows,
     Judged,
-    add_friction,
     collect_rows,
     fit_error_scale,
-    ignore_standing,
-    paper_limits,
     put_constant_error,
-    raise_limits,
-    set_limits,
-    usual_speed_rad_s,
-    whole_recordings,
     with_outputs,
 )
-from tauext.train.held_peaks import Moment
+from tauext.train.paper_limits import LimitMotion, ignore_standing, put_paper
 from tauext.train.preparation import Job
-from tauext.train.promised_limits import (
-    NOT_MEASURED,
-    apply_promised,
-    other_motion,
-    promised_limits,
-    put_limit_findings,
-    torque_steps_nm,
-)
+from tauext.train.promised_limits import put_promised
+from tauext.train.supported_limits import SupportedConfig, put_supported
 from tauext.train.wrench import fit_wrench
 
-# --- Limits from a promise, from minutes of motion, or as in the paper.
+# --- Kinds of limits, and those of a training.
 
 
-SHORT_S = 240.0
-"""Decay time of the friction reserve with the length T of the recordings, exp(-T / this), [s]. One minute contains one
-state of the gears; ten contain the warm-up (5 to 7 minutes)."""
-UNPROMISED_FACTOR = 1.6
-"""Factor on the largest errors if the motion is too short for any budget, so that false alarms are unbounded."""
-LEAST_RESERVE = 0.02
-"""Least share of the friction used as a reserve; it is smaller from nine minutes on."""
-FORGOTTEN = 2.0
-"""Time near stiction after a joint began to slide, in 1/K0, for limits from minutes: r still contains the breakaway,
-and minutes have few of them."""
-EVEN_ODDS = 0.5
-"""Confidence with which the limits keep the supported budget, which itself already has the promise's confidence."""
+LIMITS: dict[str, Callable[[Bundle, LimitMotion], dict]] = {
+    "promised": put_promised,
+    "supported": put_supported,
+    "paper": put_paper,
+}
+"""For each kind, a function that sets a bundle's limits and returns facts of them, none for the paper's."""
 
 
 def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> None:
-    """Set limits, hold times and the freeze of the drift tracker.
+    """Set error scale, limits, hold times and the freeze of the drift tracker.
 
     Raises:
         ConfigError: promised limits without calibration recordings.
         TrainingError: too little free motion.
     """
     config, kind = job.config, limits_kind(job.config, job.calibration)
-    scaled = config.resolved().error_scale == "on"
-    if scaled and kind == "supported" and bundle.region_width >= 0:
-        bundle.near_memory_s = FORGOTTEN / bundle.observer.gain_per_s
+    follows = config.resolved().error_scale == "on"
+    if follows and kind == "supported" and bundle.region_width >= 0:
+        bundle.near_memory_s = SupportedConfig.near_memory / bundle.observer.gain_per_s
     if words := ignore_standing(bundle, [*job.training, *job.validation]):
         job.notes.append(words)
     unseen, left_out = unseen_motion(job, bundle, setup, fit)
-    judged = [*unseen, *left_out]
     if config.row.presliding:
         bundle.after_contact_factor = config.alarm.after_contact_factor
-    rows = None
-    if scaled:
-        rows = collect_rows(bundle, judged, job.threads, config.margins)
-        started = job.start.put_scale(job, bundle, rows)
-        job.facts["error_scale"] = fit_error_scale(bundle, rows, config.drift) if started is None else started
-        for one in left_out:
-            assert one.bundle is not None
-            one.bundle.error_scale = bundle.error_scale
-        job.facts["wrench"] = job.facts.get("wrench", {}) | fit_wrench(bundle, judged, job.threads, config.margins)
-    else:  # limits are constants
-        motion = unseen or judged
-        put_constant_error(bundle, collect_rows(bundle, motion, job.threads, config.margins))
-        job.facts["wrench"] = job.facts.get("wrench", {}) | fit_wrench(bundle, motion, job.threads, config.margins)
-    poses = job.facts.get("wrench", {}).get("poses", [])
-    own = job.start.put_limits(job, bundle, kind)
-    if own is not None:
-        words, job.facts["limits"] = own
+    motion = LimitMotion(
+        job.name,
+        config.alarm,
+        job.threads,
+        config.margins,
+        job.report,
+        job.notes.append,
+        calibration=job.calibration,
+        out=job.out,
+        suspects=len(job.suspects),
+        unseen=unseen,
+        left_out=left_out,
+        fit=fit,
+    )
+    motion = put_error_scale(job, bundle, motion, follows)
+    if (started := job.start.put_limits(job, bundle, kind)) is not None:
+        words, facts = started
         job.notes.append(words)
-    elif kind == "promised":
-        promised, job.facts["limits"] = calibrate_bundle(
-            bundle, job.name, job.calibration, config.alarm, job.threads, config.margins, job.report, job.out, poses
-        )
-        job.report.say(promised.sentence())
-    elif kind == "supported":
-        words, job.facts["limits"] = set_supported_limits(
-            bundle, judged, config, job.threads, fit, rows, poses, len(job.suspects)
-        )
-        job.notes.append(words)
-        if "other_motion" in job.facts["limits"]:
-            job.notes.append(job.facts["limits"]["other_motion"]["sentence"])
-        units = dict(zip(job.joints, bundle.estimate_units, strict=True))
-        for moment in (Moment(**facts) for facts in job.facts["limits"].get("one_moment", [])):
-            job.notes.append(moment.sentence(units[moment.joint]))
     else:
-        set_limits(bundle, paper_limits(bundle, unseen or judged, job.threads, config.margins), config.alarm)
+        facts = LIMITS[kind](bundle, motion)
+        if kind == "promised":
+            job.notes.append(facts["sentence"])
     if fit is not None:
         freeze_drift(bundle, config.drift)
-    if "limits" in job.facts:  # those of the paper's recipes are as they are
-        job.facts["torque_step_nm"] = torque_steps_nm(bundle, job.training)
+    if facts:  # those of the paper's recipes are as they are
+        job.facts["limits"], job.facts["torque_step_nm"] = facts, torque_steps_nm(bundle, job.training)
         job.notes.extend(put_limit_findings(bundle, job.facts))
+
+
+def put_error_scale(job: Job, bundle: Bundle, motion: LimitMotion, follows: bool) -> LimitMotion:
+    """Set the error scale and the errors of forces; returns the motion with its errors and poses.
+
+    Args:
+        follows: whether limits follow the error that the motion announces; else the scale is constant.
+    """
+    judged = motion.judged if follows else motion.unseen or motion.judged
+    rows = collect_rows(bundle, judged, job.threads, job.config.margins)
+    if not follows:
+        put_constant_error(bundle, rows)
+    else:
+        started = job.start.put_scale(job, bundle, rows)
+        job.facts["error_scale"] = fit_error_scale(bundle, rows, job.config.drift) if started is None else started
+        for one in motion.left_out:
+            assert one.bundle is not None
+            one.bundle.error_scale = bundle.error_scale
+    job.facts["wrench"] = job.facts.get("wrench", {}) | fit_wrench(bundle, judged, job.threads, job.config.margins)
+    return replace(motion, rows=rows, poses=job.facts["wrench"].get("poses", []))
 
 
 def limits_kind(config: TrainConfig, calibration: Sequence[object], folder: Path | None = None) -> str:
     """Return the kind of limits: promised, supported or paper.
 
     Args:
-        folder: see no_calibration().
+        folder: of the dataset, for the message; None: its recordings are in memory.
 
     Raises:
         ConfigError: promised limits without calibration recordings.
@@ -138,6 +125,21 @@ def limits_kind(config: TrainConfig, calibration: Sequence[object], folder: Path
     if config.row.largest_error_limits:
         return "paper"
     return "promised" if calibration else "supported"
+
+
+def no_calibration(folder: Path | None) -> str:
+    """End of a message: a dataset without calibration recordings, and how to get some.
+
+    Args:
+        folder: of the dataset; None: its recordings are in memory.
+    """
+    more = (
+        "`tauext simulate --calibration-hours 24` makes some"
+        if folder is not None and is_simulated(folder)
+        else "record more of the arm's motion without touches, list the recordings as calibration in [split] of the "
+        "description, and import them"
+    )
+    return f"needs calibration recordings, which the dataset has none of; {more}"
 
 
 def unseen_motion(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> tuple[list[Judged], list[Judged]]:
@@ -168,104 +170,98 @@ def left_out_of_fit(bundle: Bundle, fit: PriorFit, setup: Setup, reference: Reco
     return judged
 
 
-def set_supported_limits(
-    bundle: Bundle,
-    judged: Sequence[Recording | Judged],
-    config: TrainConfig,
-    threads: int,
-    fit: PriorFit | None,
-    rows: ErrorRows | None = None,
-    poses: Sequence[Sequence[float]] = (),
-    suspects: int = 0,
-) -> tuple[str, dict]:
-    """Set limits for the smallest budget of false alarms that this motion supports.
+# --- Limits that are of little use.
 
-    If the motion is too short for that, the largest error is used. Both are raised, since minutes do not contain all
-    changes of friction with temperature and time: limits that follow the error by `factor_after` and a share of the
-    friction, constant ones by a share of the friction at the 95 % quantile of a joint's speed. Returns the basis as
-    text, and facts.
+
+def limit_findings(
+    bundle: Bundle, step_nm: Mapping[str, float], wide: float = 1 / 3, too_wide: float = 1 / 2
+) -> list[Finding]:
+    """Findings of limits that are far too wide, or finer than the torque is known.
 
     Args:
-        rows: errors of the error scale's fit, for testing the promise in other motion.
-        poses: of the motion, in which links are hit.
-        suspects: number of suspected touches that were left out of the motion.
+        step_nm: step of which each torque is a whole multiple, by joint; those without one are left out.
+        wide: share of a joint's largest torque in training above which its limit is a finding. Good recordings of ten
+            minutes give 0.02 to 0.2, and up to 1 at single joints that turn about the vertical or are light.
+        too_wide: share that makes it a fault if the limits of half of the joints or more are above.
     """
-    seen_s = total_s(whole_recordings(judged))
-    factor = round(factor_after(seen_s, config.alarm.minutes_factor), 3)
-    promised = None
-    try:
-        # A few dozen peaks determine the tail poorly; the factor below accounts for that.
-        at_most_seen = bundle.error_scale.follows
-        promised = promised_limits(
-            bundle, lambda: judged, config.alarm, threads, config.margins, EVEN_ODDS, at_most_seen, poses=poses
-        )
-    except TrainingError as error:
-        set_limits(bundle, paper_limits(bundle, judged, threads, config.margins), config.alarm)
-        words = f"limits are the largest errors seen, and promise nothing ({error})"
-        factor = max(factor, UNPROMISED_FACTOR)
-        facts: dict = {"sentence": words}
-    else:
-        apply_promised(bundle, promised, config.alarm)
-        promised = replace(promised, suspects=suspects)
-        facts = promised.facts()
-        words = f"no calibration recordings. {promised.sentence()}"
-    if bundle.error_scale.follows:
-        raise_limits(bundle, factor)
-        facts["minutes_factor"] = factor
-        raise_moments(facts, {}, factor)
-        words += f" They are {factor:.3g} times what these minutes show."
-        share = config.alarm.friction_reserve * math.exp(-seen_s / SHORT_S)
-        added = None
-        if fit is not None and share > LEAST_RESERVE:
-            at_rest, per_speed = friction_line(fit, usual_speed_rad_s(judged))
-            add_friction(bundle, share, at_rest, per_speed)
-            added = share * at_rest, share * per_speed
-            facts["friction_reserve"] = share
-            words += f" {share:.1%} of the friction is added: so short a time shows little of its changes."
-        if rows is not None and promised is not None:
-            watched = np.flatnonzero(bundle.monitored)
-            names = [bundle.links[j].joint_name for j in watched]
-            own = None if added is None else (added[0][watched], added[1][watched])
-            other = other_motion(rows.of_joints(watched), names, promised, EVEN_ODDS, factor, own)
-            facts["other_motion"] = other.facts() if other else {"sentence": NOT_MEASURED}
-            if other and other.broken:
-                facts["sentence"] += f" {other.broken}: expect {other.factor:.2g} times as many."
-        return words, facts
-    if fit is None or not config.alarm.friction_reserve:
-        return words, facts
-    reserve = config.alarm.friction_reserve * friction_nm(fit, usual_speed_rad_s(judged))
-    raise_limits(bundle, 1.0, reserve)
-    names = [link.joint_name for link in bundle.links]
-    facts["friction_reserve_nm"] = dict(zip(names, reserve.tolist(), strict=True))
-    raise_moments(facts, facts["friction_reserve_nm"])
-    return f"{words} They are raised by {config.alarm.friction_reserve:.0%} of the friction.", facts
+    found, watched = [], np.array(bundle.monitored)
+    limits = np.maximum(bundle.sliding_limit_nm, bundle.near_stiction_limit_nm)
+    shares = (limits / bundle.largest_torque_nm)[watched]
+    severity: Severity = "fault" if 2 * (shares > too_wide).sum() >= len(shares) else "warning"
+    for j in np.flatnonzero(watched).tolist():
+        limit, largest = float(limits[j]), bundle.largest_torque_nm[j]
+        name, unit = bundle.links[j].joint_name, bundle.estimate_units[j]
+        step = step_nm.get(name, 0.0)
+        if limit > wide * largest:
+            evidence = f"{limit:.3g} {unit}, {limit / largest:.0%} of the largest torque that it gave"
+            advice = (
+                "few touches are found there: remove touches and odd recordings from the training, check unit and "
+                "robot file, or train on more motion, in which the joint moves faster and carries more"
+            )
+            found.append(Finding("limit-wide", severity, name, evidence, advice))
+        if (finest := min(bundle.sliding_limit_nm[j], bundle.near_stiction_limit_nm[j])) < step:
+            evidence = f"{finest:.3g} {unit}, where the torque has steps of {step:.3g} {unit}"
+            advice = "one step of the torque raises an alarm: train on motion in which the joint moves as in its work"
+            found.append(Finding("limit-fine", "fault", name, evidence, advice))
+    return found
 
 
-def factor_after(seen_s: float, most: float) -> float:
-    """Factor on limits that follow the error, for T seconds of motion: 1 + (most - 1)(1 - exp(-T/SHORT_S)).
-
-    It grows as the friction reserve decays; for a single minute the reserve suffices.
-    """
-    return 1 - (most - 1) * math.expm1(-seen_s / SHORT_S)
-
-
-def raise_moments(facts: dict, by_nm: Mapping[str, float], factor: float = 1.0) -> None:
-    """Add to the facts the limits with and without decisive moments, as the limits were raised.
+def put_limit_findings(bundle: Bundle, facts: dict, promise: Sequence[Finding] = ()) -> list[str]:
+    """Set `limit_findings` in a bundle's provenance by its `torque_step_nm`; returns a line each for the user.
 
     Args:
-        facts: facts of the limits. by_nm: amount added by joint; missing: 0.
+        promise: findings of the promise (worse_promise), stored beside those of the limits.
     """
-    if "one_moment" in facts:
-        moments = [Moment(**entry) for entry in facts["one_moment"]]
-        facts["one_moment"] = [m.scaled(factor, by_nm.get(m.joint, 0.0)).facts() for m in moments]
+    found = [*limit_findings(bundle, facts.get("torque_step_nm", {})), *promise]
+    facts["limit_findings"] = [asdict(one) for one in found]
+    return [
+        f"{one.severity}: {': '.join(filter(None, (one.code, one.joint)))}: {one.evidence}; {one.advice}"
+        for one in found
+    ]
 
 
-def friction_line(fit: PriorFit, speed_rad_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Friction at rest and its growth with speed, (n,) [N m] and [N m s/rad], from a line through two points.
+def refuse_limits(facts: Mapping, where: str, accept: Sequence[str]) -> None:
+    """Raise FaultyDataError if the limits have a fault, in `limit_findings`, that is not accepted.
 
     Args:
-        speed_rad_s: usual speed of each joint, (n,); the other point is at a tenth of it.
+        where: name of the bundle to write, for the message.
     """
-    usual, slow = friction_nm(fit, speed_rad_s), friction_nm(fit, speed_rad_s / 10)
-    slope = np.maximum((usual - slow) / np.maximum(0.9 * speed_rad_s, 1e-9), 0)
-    return np.maximum(usual - slope * speed_rad_s, 0), slope
+    found = [Finding(**one) for one in facts.get("limit_findings", [])]
+    how = "No bundle is written. To write it all the same, accept the faults; the bundle records it:"
+    expect_accepted(found, accept, where, "its limits", how)
+
+
+def worse_promise(before: Mapping, after: Mapping, name: str) -> tuple[str, list[Finding]]:
+    """The promise that limits replace beside theirs, in a sentence, and a fault if it is worse and not asked for.
+
+    A budget that the recordings support was asked for; the smallest that they support, in place of it, was not.
+
+    Args:
+        before, after: facts of the limits; without a promise before, there is nothing to compare.
+        name: of the bundle that is replaced.
+    """
+    old, new = promised_per_hour(before), promised_per_hour(after)
+    if old is None or new is None:
+        return "", []
+    promise, old_hours = after["promise"], before["promise"]["calibration_hours"]
+    then = f"1 in {duration(1 / old)} from {duration(old_hours, 'down')} of calibration"
+    now = f"1 in {duration(1 / new, 'down')} from {duration(promise['calibration_hours'], 'down')}"
+    words = f"promise of false alarms: {now}, in place of {then} in {name}"
+    if promise["supported"] or new <= old * (1 + 1e-9):
+        return words, []
+    advice = (
+        f"keep the bundle, record {duration(promise['missing_hours'], 'up')} more of free motion, or ask for a budget "
+        "that these recordings support (--false-alarms, --in-hours)"
+    )
+    return words, [Finding("promise-worse", "fault", None, f"{now}, in place of {then} in {name}", advice)]
+
+
+def torque_steps_nm(bundle: Bundle, recordings: Sequence[Recording]) -> dict[str, float]:
+    """Step of which each torque is a whole multiple in the unit of the estimates, by joint, where there is one."""
+    found = {}
+    for j, (link, factor) in enumerate(
+        zip(bundle.links, bundle.observer.nm_per_unit or [1.0] * bundle.joints, strict=True)
+    ):
+        if (step := torque_step_nm(recordings, j)) is not None:
+            found[link.joint_name] = abs(factor) * step
+    return found

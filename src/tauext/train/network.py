@@ -14,7 +14,7 @@ from tauext.fit.network_training import Progress, ScaledNetwork, train_network
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.ties import simplest
 from tauext.fit.training_set import Setup, TooShort, build_windows, find_scaling
-from tauext.train.error_scale import LeftOutErrors, left_out_errors
+from tauext.train.error_scale import collect_rows, largest_standardised
 from tauext.train.fitting import observe, put_region, with_fit
 from tauext.train.limits import unseen_motion
 from tauext.train.preparation import Job
@@ -123,9 +123,9 @@ def choose_gain(job: Job, setup: Setup, fit: PriorFit) -> tuple[Setup, PriorFit]
     if len(tried) == 1:
         job.facts["gain"] = {"chosen_per_s": PAPER_GAIN_PER_S, "reason": "samples are too far apart for a faster one"}
         return setup, fit
-    errors = {gain: of_gain(job, *one) for gain, one in tried.items()}
-    hit_nm = HIT * errors[PAPER_GAIN_PER_S].usual_limit_nm
-    delay_s = {gain: mean_delay_s(gain, errors[gain].limit_nm, hit_nm) for gain in tried}
+    limits = {gain: limits_of_gain(job, *one) for gain, one in tried.items()}
+    hit_nm = HIT * limits[PAPER_GAIN_PER_S][0]
+    delay_s = {gain: mean_delay_s(gain, limit_nm, hit_nm) for gain, (_, limit_nm) in limits.items()}
     chosen = simplest(list(delay_s), delay_s.__getitem__, WORTH)
     delays = ", ".join(f"{1e3 * delay:.0f} ms at {gain:g} 1/s" for gain, delay in delay_s.items())
     job.facts["gain"] = {
@@ -137,12 +137,12 @@ def choose_gain(job: Job, setup: Setup, fit: PriorFit) -> tuple[Setup, PriorFit]
     return tried[chosen]
 
 
-def of_gain(job: Job, setup: Setup, fit: PriorFit) -> LeftOutErrors:
-    """Errors of a bundle with this gain on motion not used in its fit."""
+def limits_of_gain(job: Job, setup: Setup, fit: PriorFit) -> tuple[np.ndarray, np.ndarray]:
+    """Limits of a bundle with this gain on motion not used in its fit (largest_standardised)."""
     bundle = assemble(job, with_fit(setup, fit))
     put_region(job, bundle, fit)
     unseen, left_out = unseen_motion(job, bundle, setup, fit)
-    return left_out_errors(bundle, [*unseen, *left_out], job.threads, job.config.margins)
+    return largest_standardised(collect_rows(bundle, [*unseen, *left_out], job.threads, job.config.margins))
 
 
 def mean_delay_s(gain_per_s: float, limit_nm: np.ndarray, hit_nm: np.ndarray) -> float:

@@ -29,7 +29,7 @@ from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import provenance
 from tauext.fit.tail import FalseAlarmBudget, Promise, duration, is_kept
 from tauext.progress import SILENT, Reporter, WallTimes
-from tauext.train.held_peaks import REGIONS, separate_peaks
+from tauext.train.held_peaks import REGIONS, peak_indices
 
 LEAST_MOVED_S = 10.0
 """Least motion of a joint for estimating its friction."""
@@ -105,7 +105,7 @@ def peaks_over(found: _core.Refit, joint: int, region: str, share: float) -> int
     left_out = found.left_out
     inside = left_out["free"].astype(bool) & (left_out["near_stiction"][:, joint] == REGIONS.index(region))
     values = np.where(inside, left_out["share"][:, joint], 0.0)
-    return len(separate_peaks(values, left_out["t_ns"], floor=share))
+    return len(peak_indices(values, left_out["t_ns"], floor=share))
 
 
 def sentence(limits: Mapping[str, Any], used_s: float, open_joints: list[str]) -> str:

@@ -36,11 +36,10 @@ from tauext.train.fitting import (
     put_region,
     with_fit,
 )
-from tauext.train.limits import limits_kind, put_limits
+from tauext.train.limits import limits_kind, put_limits, refuse_limits
 from tauext.train.load_frame import put_load
 from tauext.train.network import assemble, choose_gain, fit_network
 from tauext.train.preparation import NOTHING, Given, Job, Start, prepare
-from tauext.train.promised_limits import refuse_limits
 from tauext.train.suspects import (
     Suspect,
     are_same,

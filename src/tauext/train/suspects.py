@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from tauext.data.free_motion import cut
 from tauext.data.labels import SUSPECT_MARGINS, Label, epoch_of
 from tauext.data.recording import Recording
 from tauext.train.error_scale import FOR_ERRORS, judge, judge_all
-from tauext.train.held_peaks import PeakCollector, Peaks, PeakStore
+from tauext.train.held_peaks import Peaks
 
 # --- Levels beyond which a peak is a suspect.
 
@@ -267,34 +266,18 @@ def search(
         labels: see find_suspects.
     """
     searched = [one for one in recordings if is_unreported(one)]
-    collector = PeakCollector([link.joint_name for link in bundle.links], HOLD_S)
+    peaks = Peaks([link.joint_name for link in bundle.links], HOLD_S)
     for motion, estimates, error, counted in judge_all(bundle, searched, threads, margins):
-        collector.add(motion.t_ns, error, estimates["near_stiction"], counted)
-    peaks = collector.peaks([one.name for one in searched])
+        peaks.add(motion.name, motion.t_ns, error, estimates["near_stiction"], counted)
     return find_suspects(bundle, peaks, searched.__getitem__, labels, threads)
 
 
-class HeldStore:
-    """Peaks in memory, which another store may keep too (PeakStore)."""
-
-    def __init__(self, kept: PeakStore | None = None):
-        self._kept = kept
-        self.collectors: list[Any] = kept.collectors if kept else []
-        self.names: list[str] = list(kept.names) if kept else []
-
-    def offer(self, collectors: list[Any], names: Sequence[str]) -> None:
-        """Receive the collectors after one more recording."""
-        self.collectors, self.names = collectors, list(names)
-        if self._kept:
-            self._kept.offer(collectors, names)
-
-
-def forget(collectors: Sequence[PeakCollector], suspects: Sequence[Suspect]) -> None:
-    """Leave the peaks of suspects, with their margins, out of the collectors."""
+def forget(peaks: Sequence[Peaks], suspects: Sequence[Suspect]) -> None:
+    """Leave the peaks of suspects, with their margins, out."""
     before, after = round(1e9 * SUSPECT_MARGINS.before_s), round(1e9 * SUSPECT_MARGINS.after_s)
     for one in suspects:
-        for collector in collectors:
-            collector.forget(one.number, one.from_ns - before, one.to_ns + after)
+        for some in peaks:
+            some.forget(one.number, one.from_ns - before, one.to_ns + after)
 
 
 def without_suspects(recordings: Sequence[Recording], suspects: Sequence[Suspect]) -> list[Recording]:

@@ -16,9 +16,9 @@ from tauext.fit.network_training import ScaledNetwork
 from tauext.robot.capsules import link_capsules
 from tauext.robot.frames import wrench_frames
 from tauext.robot.mesh_files import MeshFolders
-from tauext.train.calibrate import remove_checkpoint
 from tauext.train.network import CHECKPOINT
 from tauext.train.preparation import Job
+from tauext.train.promised_limits import remove_checkpoint
 
 # --- The bundle's file, with its run file and wall time beside it.
 

@@ -11,7 +11,7 @@ import numpy as np
 from tauext import _core
 from tauext.bundle.estimates import COLLISION, CONTACT, Estimates
 from tauext.data.recording import Recording
-from tauext.fit.tail import is_consistent, is_kept, rate_interval
+from tauext.fit.tail import is_kept, rate_interval
 from tauext_lab.evaluate.collisions import GRACE_S, Collision, judge_latched
 from tauext_lab.evaluate.noticed_force import LEAST_LIMIT_NM, noticed
 from tauext_lab.evaluate.results import AfterContacts, Aftermath, FreeMotion, NoticedForce, Numbers, SanityRow
@@ -76,7 +76,7 @@ class FreeMotionErrors:
             near_rmse = np.sqrt(self._near_square / self._near)
             sliding_rmse = np.sqrt((self._square - self._near_square) / sliding)
         hours, false, is_measured = float(self.seconds) / 3600, self.false_collisions, self.seconds > 0
-        known = promised if is_measured else None
+        known, interval = (promised, rate_interval(false, hours)) if is_measured else (None, None)
         return FreeMotion(
             recordings=tuple(self.recordings),
             hours=hours,
@@ -92,8 +92,8 @@ class FreeMotionErrors:
             false_alarms_per_hour=self.false_alarms / hours if is_measured else None,
             false_collisions=false if is_measured else None,
             promised_per_hour=promised,
-            false_collisions_interval_per_hour=rate_interval(false, hours) if is_measured else None,
-            promise_consistent=None if known is None else is_consistent(false, hours, known),
+            false_collisions_interval_per_hour=interval,
+            promise_consistent=None if known is None or interval is None else interval[0] <= known <= interval[1],
             promise_kept=None if known is None else is_kept(false, hours, known),
         )
 

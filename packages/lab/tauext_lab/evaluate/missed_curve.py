@@ -9,7 +9,7 @@ import numpy as np
 
 from tauext.bundle.estimates import Estimates
 from tauext.data.recording import Recording
-from tauext.fit.tail import held_minimum, hold_lengths
+from tauext.train.held_peaks import held_minimum, hold_lengths
 from tauext_lab.evaluate.collisions import GRACE_S, Collision
 from tauext_lab.evaluate.free_motion import FALSE_ALARM_QUIET_S
 from tauext_lab.evaluate.results import CurvePoint
@@ -64,26 +64,6 @@ class MissedCurve:
 
 def held_ratio(estimates: Estimates, hold_s: float) -> np.ndarray:
     """rho of every sample, (samples,): see MissedCurve; 0 unless its whole hold time is past and healthy."""
-    t_ns = estimates.t_ns
     ratio = np.abs(estimates.tau_ext) / estimates.limit_nm
-    ratio[~estimates.healthy] = 0
-    steps = np.diff(t_ns)
-    if len(steps) and (steps == steps[0]).all():
-        back = -(-round(hold_s * 1e9) // int(steps[0]))
-        return reduce(np.maximum, sliding_minimum(ratio, back).T)  # over joints; along short rows it would be slow
-    lengths = hold_lengths(t_ns, hold_s)
-    held = [held_minimum(ratio[:, j], estimates.healthy, lengths) for j in range(ratio.shape[1])]
-    return np.nan_to_num(np.max(held, axis=0))
-
-
-def sliding_minimum(values: np.ndarray, back: int) -> np.ndarray:
-    """The minimum of each value and the `back` values before it, (samples, n); 0 if there are fewer."""
-    least, length = values, 1
-    while 2 * length <= back + 1:
-        least = np.minimum(least[:-length], least[length:])
-        length *= 2
-    if rest := back + 1 - length:
-        least = np.minimum(least[:-rest], least[rest:])
-    out = np.zeros_like(values)
-    out[back:] = least
-    return out
+    held = held_minimum(ratio, estimates.healthy, hold_lengths(estimates.t_ns, hold_s))
+    return np.nan_to_num(reduce(np.maximum, held.T))  # over joints; along short rows it would be slow

@@ -1,0 +1,307 @@
+"""Limits from minutes of motion: raised for what minutes do not show, and tested in recordings of other motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+
+import numpy as np
+
+from tauext._core import Bundle, MotionFeature
+from tauext.data.free_motion import total_s
+from tauext.data.recording import Recording
+from tauext.errors import TrainingError
+from tauext.fit.prior_facts import friction_nm
+from tauext.fit.prior_terms import PriorFit
+from tauext.fit.tail import TooFewPeaks, duration
+from tauext.train.error_scale import FEATURES, ErrorRows, Judged, add_friction, limit_weights, whole_recordings
+from tauext.train.held_peaks import (
+    Peaks,
+    collect_peaks,
+    count_episodes,
+    held_minimum,
+    hold_lengths,
+    peak_indices,
+)
+from tauext.train.paper_limits import LimitMotion, change_limits, paper_limits, set_limits
+from tauext.train.promised_limits import (
+    LimitsConfig,
+    PromisedLimits,
+    joint_tails,
+    limits_of,
+    note_moments,
+    promised_limits,
+)
+
+
+@dataclass(frozen=True)
+class SupportedConfig:
+    """How limits from minutes of one day allow for what such a time does not show."""
+
+    decay_s: float = 240.0
+    """Decay time of the friction reserve with the length T of the recordings, exp(-T / this), [s]. One minute contains
+    one state of the gears; ten contain the warm-up (5 to 7 minutes)."""
+    unpromised_factor: float = 1.6
+    """Factor on the largest errors if the motion is too short for any budget, so that false alarms are unbounded."""
+    least_reserve: float = 0.02
+    """Least share of the friction used as a reserve; it is smaller from nine minutes on."""
+    near_memory: float = 2.0
+    """Time near stiction after a joint began to slide, in 1/K0: r still contains the breakaway, and minutes have few of
+    them."""
+    confidence: float = 0.5
+    """Confidence with which the limits keep the supported budget, which itself already has the promise's confidence."""
+
+
+def put_supported(bundle: Bundle, motion: LimitMotion, config: SupportedConfig = SupportedConfig()) -> dict:
+    """Limits for the smallest budget of false alarms that this motion supports.
+
+    If the motion is too short for that, the largest errors are used. Both are raised, since minutes do not contain all
+    changes of friction with temperature and time: limits that follow the error by `factor_after` and a share of the
+    friction, constant ones by a share of the friction at the 95 % quantile of a joint's speed.
+    """
+    alarm, follows, promised = motion.alarm, bundle.error_scale.follows, None
+    limits = LimitsConfig(confidence=config.confidence, at_most_seen=follows)
+    try:
+        peaks = collect_peaks(bundle, motion.judged, alarm.holds_s, motion.threads, motion.margins)
+        promised = promised_limits(bundle, peaks, alarm, limits, motion.poses)
+        promised = replace(promised, suspects=motion.suspects)
+        promised.put(bundle, alarm)
+        words, facts = f"no calibration recordings. {promised.sentence()}", promised.facts()
+    except TrainingError as error:
+        set_limits(bundle, paper_limits(bundle, motion.judged, motion.threads, motion.margins), alarm)
+        words = f"limits are the largest errors seen, and promise nothing ({error})"
+        facts = {"sentence": words}
+    if follows:
+        factor, by_nm = raise_following(bundle, motion, promised, limits, config, facts), np.zeros(bundle.joints)
+        words += f" They are {factor:.3g} times what these minutes show."
+        if "friction_reserve" in facts:
+            words += f" {facts['friction_reserve']:.1%} of the friction is added: so short a time shows little of its"
+            words += " changes."
+    else:
+        factor, by_nm = 1.0, constant_reserve_nm(bundle, motion)
+        change_limits(bundle, lambda limit_nm: limit_nm + by_nm)
+        if by_nm.any():
+            facts["friction_reserve_nm"] = dict(zip(names_of(bundle), by_nm.tolist(), strict=True))
+            words += f" They are raised by {alarm.friction_reserve:.0%} of the friction."
+    motion.note(words)
+    if "other_motion" in facts:
+        motion.note(facts["other_motion"]["sentence"])
+    if promised is not None and promised.moments:
+        added = dict(zip(names_of(bundle), by_nm.tolist(), strict=True))
+        moments = [moment.scaled(factor, added[moment.joint]) for moment in promised.moments]
+        facts["one_moment"] = [moment.facts() for moment in moments]
+        note_moments(bundle, moments, motion.note)
+    return facts
+
+
+def names_of(bundle: Bundle) -> list[str]:
+    """Names of the joints."""
+    return [link.joint_name for link in bundle.links]
+
+
+def raise_following(
+    bundle: Bundle,
+    motion: LimitMotion,
+    promised: PromisedLimits | None,
+    limits: LimitsConfig,
+    config: SupportedConfig,
+    facts: dict,
+) -> float:
+    """Raise limits that follow the error, and test them in other motion; returns the factor.
+
+    Args:
+        promised: None: the limits are the largest errors.
+        facts: receives factor, reserve and test.
+    """
+    seen_s = total_s(whole_recordings(motion.judged))
+    factor = round(factor_after(seen_s, motion.alarm.minutes_factor, config.decay_s), 3)
+    if promised is None:
+        factor = max(factor, config.unpromised_factor)
+    change_limits(bundle, lambda limit_nm: factor * limit_nm)
+    facts["minutes_factor"] = factor
+    watched, added = np.flatnonzero(bundle.monitored), None
+    share = motion.alarm.friction_reserve * math.exp(-seen_s / config.decay_s)
+    if motion.fit is not None and share > config.least_reserve:
+        at_rest, per_speed = friction_line(motion.fit, usual_speed_rad_s(motion.judged))
+        add_friction(bundle, share, at_rest, per_speed)
+        added = share * at_rest[watched], share * per_speed[watched]
+        facts["friction_reserve"] = share
+    if motion.rows is not None and promised is not None:
+        names = [names_of(bundle)[j] for j in watched]
+        other = other_motion(motion.rows.of_joints(watched), names, promised, limits, factor, added)
+        facts["other_motion"] = NOT_MEASURED if other is None else other.facts()
+        if other is not None and other.broken:
+            facts["sentence"] += f" {other.broken}: expect {other.factor:.2g} times as many."
+    return factor
+
+
+def constant_reserve_nm(bundle: Bundle, motion: LimitMotion) -> np.ndarray:
+    """Share of each joint's friction that is added to constant limits, (n,), [N m]; 0 without a prior."""
+    share = motion.alarm.friction_reserve
+    if motion.fit is None or not share:
+        return np.zeros(bundle.joints)
+    return share * friction_nm(motion.fit, usual_speed_rad_s(motion.judged))
+
+
+def factor_after(seen_s: float, most: float, decay_s: float = SupportedConfig.decay_s) -> float:
+    """Factor on limits that follow the error, for T seconds of motion: 1 + (most - 1)(1 - exp(-T/decay_s)).
+
+    It grows as the friction reserve decays; for a single minute the reserve suffices.
+    """
+    return 1 - (most - 1) * math.expm1(-seen_s / decay_s)
+
+
+def usual_speed_rad_s(recordings: Sequence[Recording | Judged]) -> np.ndarray:
+    """Largest 95 % quantile of each joint's speed over the recordings, (n,), [rad/s]."""
+    speeds = [np.quantile(np.abs(recording.dq), 0.95, axis=0) for recording in whole_recordings(recordings)]
+    return np.max(speeds, axis=0)
+
+
+def friction_line(fit: PriorFit, speed_rad_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Friction at rest and its growth with speed, (n,) [N m] and [N m s/rad], from a line through two points.
+
+    Args:
+        speed_rad_s: usual speed of each joint, (n,); the other point is at a tenth of it.
+    """
+    usual, slow = friction_nm(fit, speed_rad_s), friction_nm(fit, speed_rad_s / 10)
+    slope = np.maximum((usual - slow) / np.maximum(0.9 * speed_rad_s, 1e-9), 0)
+    return np.maximum(usual - slope * speed_rad_s, 0), slope
+
+
+# --- Limits from minutes of data in other motion: each recording is evaluated with limits from the others.
+
+
+NOT_MEASURED = {
+    "sentence": "The false alarm rate in other kinds of motion is unknown: it takes 3 recordings or more, each long "
+    "enough to be left out in turn."
+}
+
+
+@dataclass(frozen=True)
+class OtherMotion:
+    """False alarms in recordings whose limits follow from the others."""
+
+    false: dict[str, int]
+    """Number of false alarms by recording."""
+    promised: float
+    """False alarms allowed by the budget of these limits in the same time."""
+    hours: float
+    kept_by: float
+    """Factor on the limits that would have kept the promise in these recordings."""
+
+    @property
+    def factor(self) -> float:
+        """Ratio of false alarms to promised ones."""
+        return sum(self.false.values()) / self.promised
+
+    @property
+    def at_most(self) -> float:
+        """Upper bound of the factor (95 %, one-sided), by the spread between recordings, not the number of alarms."""
+        counts = np.array(list(self.false.values()), dtype=float)
+        return self.factor + 1.645 * math.sqrt(len(counts)) * float(counts.std(ddof=1)) / self.promised
+
+    @property
+    def broken(self) -> str:
+        """Words on the promise, which it does not keep; empty: it keeps it."""
+        return "The promise does not hold in motion unlike any recording" if self.factor > 1 else ""
+
+    def sentence(self) -> str:
+        """Text for the user."""
+        some = {name: count for name, count in self.false.items() if count}
+        words = (
+            f"Each recording was evaluated with limits from the others. False alarms in {duration(self.hours)}: "
+            f"{sum(some.values())}, in {len(some)} of {len(self.false)} recordings; promised: {self.promised:.2g}."
+        )
+        if self.at_most <= 1:
+            return f"{words} The promise also holds from one recording to the next."
+        words += f" {self.broken}: " if self.broken else " In motion unlike any recording, "
+        words += f"expect {self.factor:.2g} times the promised false alarms (up to {self.at_most:.2g} times, at 95 % "
+        words += "confidence)."
+        if self.factor <= 1:
+            return words
+        most = max(some, key=lambda name: some[name])
+        return (
+            f"{words} Most, {some[most]}, came in {most}: more recordings of such motion help. Limits "
+            f"{self.kept_by:.2g} times as high (alarm.minutes_factor) would have kept the promise, and detect less."
+        )
+
+    def facts(self) -> dict:
+        """All of it for JSON."""
+        return asdict(self) | {"factor": self.factor, "at_most": self.at_most, "sentence": self.sentence()}
+
+
+def other_motion(
+    rows: ErrorRows,
+    joints: Sequence[str],
+    promised: PromisedLimits,
+    config: LimitsConfig,
+    factor: float,
+    reserve_nm: tuple[np.ndarray, np.ndarray] | None = None,
+) -> OtherMotion | None:
+    """Count false alarms in each recording by limits from the others, found as `put_supported` finds them.
+
+    The error scale is also fitted to the other recordings and bounded by their largest value. Only the prior may still
+    depend on the recording itself.
+
+    Args:
+        rows: errors on free motion, of all recordings.
+        joints: their names.
+        promised: budget and hold time of the limits from all recordings.
+        config: as of these limits.
+        factor: factor on the limits.
+        reserve_nm: reserve added to the limits at rest [N m], and for each rad/s, (joints,) each.
+
+    Returns:
+        None if there are fewer than three recordings, since with two, one would have to contain every error of the
+        other, or if they are too short to find limits without one of them.
+    """
+    numbers = np.unique(rows.recording)
+    if len(numbers) < 3:
+        return None
+    rows = rows.only(np.lexsort((rows.t_ns, rows.recording)))
+    counts = dict.fromkeys(rows.recordings, 0)
+    peaks: list[np.ndarray] = []
+    for turn in np.array_split(numbers, min(len(numbers), 10)):  # several at a time where there are many
+        left_out = np.isin(rows.recording, turn)
+        own, others = rows.only(left_out), rows.only(~left_out)
+        try:
+            limit_nm = factor * limits_from(others, own, joints, promised, config)
+        except TooFewPeaks:
+            return None
+        if reserve_nm is not None:
+            at_rest, per_speed = reserve_nm
+            limit_nm += at_rest + per_speed * own.features[:, :, FEATURES.index(MotionFeature.speed)]
+        ratio = own.error_nm / limit_nm
+        for number in turn:
+            at = own.recording == number
+            t_ns, healthy = own.t_ns[at], np.ones(int(at.sum()), dtype=bool)
+            held = held_minimum(ratio[at], healthy, hold_lengths(t_ns, promised.hold_s)).max(axis=1)
+            counts[rows.recordings[number]] = count_episodes(held, t_ns, floor=1)
+            peaks.append(held[peak_indices(held, t_ns, floor=1)])
+    allowed = promised.budget.rate_per_hour * rows.hours
+    over = np.sort(np.concatenate(peaks))[::-1]
+    kept_by = float(over[int(allowed)]) if len(over) > allowed else 1.0
+    return OtherMotion(counts, allowed, rows.hours, kept_by)
+
+
+def limits_from(
+    others: ErrorRows, own: ErrorRows, joints: Sequence[str], promised: PromisedLimits, config: LimitsConfig
+) -> np.ndarray:
+    """Collision limits on these rows that follow from other rows, (own rows, joints), [N m].
+
+    Raises:
+        TooFewPeaks: the other rows have too few.
+    """
+    weights = np.array([limit_weights(others, j) for j in range(len(joints))])
+    scale = others.scale(weights)
+    peaks = Peaks(joints, promised.hold_s)
+    for number in np.unique(others.recording):
+        at = others.recording == number
+        healthy = np.ones(int(at.sum()), dtype=bool)
+        peaks.add("", others.t_ns[at], others.error_nm[at] / scale[at], others.near_stiction[at], healthy)
+    tails = [joint_tails(nm, peaks.hours, config) for nm in peaks.nm]
+    confidence = config.confidence or promised.promise.confidence
+    found, _ = limits_of(joints, tails, promised.rates_per_hour, confidence, config)
+    own_scale = np.minimum(own.scale(weights), scale.max(axis=0))
+    return own_scale * np.where(own.near_stiction, found[1], found[0])

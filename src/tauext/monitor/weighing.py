@@ -98,6 +98,9 @@ ROW_S = 0.01
 """Period of the rows, equal to the network period: r changes little in less."""
 
 
+Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
 @dataclass(frozen=True)
 class WeighedMotion:
     """A recording and its estimates, at the rows that weigh."""
@@ -137,7 +140,7 @@ class WeighedMotion:
         return WeighedMotion(self.recording, *(values[keep] for values in fields))
 
     @property
-    def arrays(self) -> tuple[np.ndarray, ...]:
+    def arrays(self) -> Arrays:
         """The motion for `_core.weigh_load` and `_core.weigh_known`."""
         r = self.recording
         return r.t_ns, r.q, r.dq, self.samples, self.tau_ext, self.sigma, self.worth
@@ -234,7 +237,7 @@ def each_window(
         while start + WINDOW_S <= part.time_s[-1] + 0.05:
             rows = part.part((part.time_s >= start) & (part.time_s < start + WINDOW_S))
             if rows.rows >= LoadFound.LEAST_ROWS:
-                own = identify(bundle, frame, [rows], whole.reach_m, whole.phi)
+                own = identify(bundle, frame, [rows], whole.reach_m, whole.phi.tolist())
                 windows.append((part.recording.name, float(start), own))
             start += WINDOW_S
     return windows

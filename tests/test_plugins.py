@@ -279,6 +279,6 @@ def test_an_option_of_a_source_whose_package_is_not_installed_names_the_package(
         importlib.import_module(name)
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setattr("tauext.plugins.entry_points", lambda group: [])
-    assert main(["monitor", "arm.tauext", "--source", "feetech:/dev/ttyACM0", "--cell", "cell.toml"]) == 2
-    told = "'feetech' is a plug-in: pip install ./packages/lerobot in the source folder of tauext"
+    assert main(["monitor", "arm.tauext", "--source", "ros2", "--ros2.topic", "/a"]) == 2
+    told = "'ros2' is a plug-in: pip install ./packages/ros2 in the source folder of tauext"
     assert capsys.readouterr().err == f"tauext: error: {told}\n"

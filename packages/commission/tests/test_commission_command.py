@@ -138,7 +138,7 @@ class Away:
 def test_an_arm_that_is_away_is_tried_again_and_one_that_does_not_fit_is_not(last, tmp_path, monkeypatch):
     errors, made, said = [AwayError("no controller answers"), AwayError("no sample"), last], [], []
 
-    def opened(text, options):
+    def opened(text, options, cell):
         made.append(Away(errors))
         return made[-1], ()
 

@@ -74,7 +74,7 @@ def test_si_units_pass_unchanged():
     assert recording.rate_hz == 100 and recording.provenance["done"] == []
 
 
-def test_units_signs_sides_and_offsets_are_applied_and_said():
+def test_units_signs_sides_and_offsets_are_applied_and_reported():
     t_ns, q, dq, tau = motion(joints=2)
     gear, sign, offset_deg = np.array([100, -50]), np.array([1, -1]), np.array([0, 90])
     raw_q = np.rad2deg(q) - offset_deg  # motor encoder in degrees, joint 2 counted the other way
@@ -285,7 +285,7 @@ def test_a_held_position_has_the_speed_of_its_measurement():
     np.testing.assert_allclose(recording.dq, np.tile([1.0, -2.0], (400, 1)), rtol=1e-9)
 
 
-def test_a_velocity_that_is_not_recorded_is_derived_and_said():
+def test_a_velocity_that_is_not_recorded_is_derived_and_reported():
     t_ns, q, _, tau = motion(joints=2)
     described = parse_arm('[robot]\njoints = ["a", "b"]\n[signals.q]\ncolumns = "q"\n[signals.tau]\ncolumns = "tau"')
     recording = one(a_source(t_ns, q=q, tau=tau), described)

@@ -152,7 +152,7 @@ def test_axis_along_gravity_has_no_offset(tmp_path):
     assert {f.code for f in examine(turned, path).findings} <= {"too-short"}
 
 
-def test_sign_at_rest_is_told_of_loaded_joints_alone(six):
+def test_sign_at_rest_is_reported_of_loaded_joints_alone(six):
     recordings, _ = standing(six, [-1.0] * 6)
     loads = np.abs(six.tree.momentum(np.stack([r.q[0] for r in recordings]), np.zeros((4, 6)))[1]).max(axis=0)
     found = [f.joint for f in pose_findings(recordings, six.tree, recordings[0].joints)]
@@ -200,7 +200,7 @@ def test_presliding_states_are_stop_operators_sample_by_sample():
     assert presliding(q, (2e-3, 5e-3), 100.0)[..., 0] == pytest.approx(slow, abs=1e-12)  # rounding
 
 
-def test_contact_that_nobody_labelled_is_told_with_time_joint_and_torque(searched):
+def test_contact_that_nobody_labelled_is_reported_with_time_joint_and_torque(searched):
     def touched(r):
         shape = np.exp(-(((r.time_s - 20.0) / 0.05) ** 2))
         return replace(r, tau=r.tau + 0.8 * r.tau.std(axis=0)[2] * shape[:, None] * np.eye(6)[2], contact=None)

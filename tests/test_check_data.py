@@ -263,7 +263,7 @@ def test_a_factor_that_training_finds_is_no_fault(data, tmp_path):
     train_bundle(load_dataset(data), tmp_path / "a.tauext", config=config)
 
 
-def test_a_given_constant_that_is_far_off_is_told(data, tmp_path):
+def test_a_given_constant_that_is_far_off_is_reported(data, tmp_path):
     """Training would correct it, and say so; half of it is no correction."""
     for name in ("one", "two", "three"):
         recording = load_recording(data / f"{name}.parquet")
@@ -273,7 +273,7 @@ def test_a_given_constant_that_is_far_off_is_told(data, tmp_path):
     assert "effort-scale" in {warning["code"] for warning in kept(tmp_path / "a.tauext")["training"]["warnings"]}
 
 
-def test_warnings_are_told_once_and_faults_of_many_joints_are_accepted_by_their_code():
+def test_warnings_are_reported_once_and_faults_of_many_joints_are_accepted_by_their_code():
     heard = Heard()
     many = [Finding("clock-gaps", "warning", None, f"'{k}': gaps", "look", str(k)) for k in range(50)]
     facts = refuse_faults({"training": many}, "data", [], heard)

@@ -160,7 +160,7 @@ def test_the_warm_up_of_a_recipe_counts_its_low_pass_and_messages_name_it():
         paper_limits(bundle, [made], 1)
 
 
-def test_settings_are_the_plain_momentum_observer_unless_told():
+def test_settings_are_the_plain_momentum_observer_unless_set():
     plain = _core.ObserverSettings(
         gain_per_s=20.0, timing=_core.TorqueTiming.held, sample_period_ns=1_000_000, network_stride=10
     )

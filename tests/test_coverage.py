@@ -78,7 +78,7 @@ def test_twelve_minutes_make_other_motion_of_the_kind_familiar(seven):
     assert np.mean([told(fit.settings, moves(seed, 3.0)).mean() for seed in range(10, 18)]) < 0.01
 
 
-def test_speeds_beyond_training_are_told_and_named(seven):
+def test_speeds_beyond_training_are_reported_and_named(seven):
     recordings, _ = seven
     slow = fit_coverage(setup_of(planar_arm(), SEVEN), [moves(seed, 3.0, share=0.6) for seed in range(4)]).settings
     fast = recordings[0]
@@ -90,7 +90,7 @@ def test_speeds_beyond_training_are_told_and_named(seven):
     assert abs(fast.dq[at, said["joint"][0]]) > 1.15 * slow.fastest_rad_s[said["joint"][0]]
 
 
-def test_an_unseen_half_of_a_joint_s_range_is_told_and_named():
+def test_an_unseen_half_of_a_joint_s_range_is_reported_and_named():
     def half(rng):
         pose = rng.uniform(-RANGE_RAD, RANGE_RAD, SEVEN)
         pose[1] = -abs(pose[1])
@@ -108,7 +108,7 @@ def test_an_unseen_half_of_a_joint_s_range_is_told_and_named():
     assert (named | (said["what"] == MONITOR["positions"])).all() and named.mean() > 0.9
 
 
-def test_positions_that_were_never_together_are_told_though_each_was_seen():
+def test_positions_that_were_never_together_are_reported_though_each_was_seen():
     def beside(rng):
         return np.full(2, rng.uniform(-RANGE_RAD, RANGE_RAD)) + rng.uniform(-0.3, 0.3, 2)
 

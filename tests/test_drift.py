@@ -136,7 +136,7 @@ def test_a_flight_tells_drift_from_the_network(fitted):
     np.testing.assert_allclose(estimates.network, 0, atol=1e-9)  # the bundle has none
 
 
-def test_a_drift_at_its_bound_is_told_once(fitted, tmp_path, capsys):
+def test_a_drift_at_its_bound_is_reported_once(fitted, tmp_path, capsys):
     from tauext.cli import main
 
     bundle, fit = fitted

@@ -60,7 +60,7 @@ def test_an_episode_lasts_from_its_rise_to_the_last_sample_over_a_limit(bundle):
 
 
 @pytest.mark.slow
-def test_a_touch_that_lasts_is_told_again_before_its_end(bundle):
+def test_a_touch_that_lasts_is_reported_again_before_its_end(bundle):
     _, news = told(bundle, seconds=10, pushes=((2.0, 0, 1.5),), length_s=6.5)
     stories = news[1]
     lasting = [(t_ns, one) for t_ns, one in stories if one.is_touched and one.touch_t_ns > one.t_ns + LASTS_NS]

@@ -90,7 +90,7 @@ def test_a_sharp_scale_lowers_the_limit_that_rare_large_errors_set():
     assert usual[ErrorScaleConfig.sharp] < 0.8 * usual[2.0] and usual[ErrorScaleConfig.sharp] < 2
 
 
-def test_the_drift_tracker_stands_still_in_as_much_of_the_motion_as_was_said():
+def test_the_drift_tracker_stands_still_in_as_much_of_the_motion_as_stated():
     rng = np.random.default_rng(5)
     error = np.abs(rng.standard_normal((30_000, 3))) * [0.1, 0.5, 2.0]
     error[rng.integers(0, 30_000, 10)] *= 8

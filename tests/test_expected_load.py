@@ -125,7 +125,7 @@ def test_a_line_that_says_none_is_refused(text):
 
 
 @pytest.mark.slow
-def test_a_live_monitor_is_told_by_a_line_and_tells_what_was_found(arm):
+def test_a_live_monitor_obeys_a_line_and_reports_what_was_found(arm):
     bundle, picks = arm
     said: list[str] = []
 
@@ -162,7 +162,7 @@ def test_a_profile_says_what_is_expected(arm, tmp_path):
         load_cell(path, picks.joints)
 
 
-def test_only_what_is_news_is_told_of_a_load_that_is_weighed_on():
+def test_only_what_is_news_is_reported_of_a_load_that_is_weighed_on():
     said = {
         "health": np.full(6, 1), "causes": np.zeros(6, int), "alarm": np.zeros(6, int),
         "cause_joint": np.full(6, -1), "drift_saturated": np.zeros((6, 1), bool),

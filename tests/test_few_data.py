@@ -249,7 +249,7 @@ def test_a_constant_known_to_a_third_serves_and_is_called_a_guess():
     assert "Nm a unit of tau: a 9 ± 0.1" in said[0] and "b 4 ± 1 are guesses" in said[1] and "of c are" in said[2]
 
 
-def test_a_constant_that_friction_drowns_is_said_to_be_undetermined():
+def test_a_constant_that_friction_drowns_is_reported_as_undetermined():
     made = motion(seconds=20.0)
     rng = np.random.default_rng(1)
     drowned = replace(made, tau=np.column_stack([made.tau[:, 0], rng.normal(0, 50, made.samples)]))
@@ -302,7 +302,7 @@ def test_joints_that_share_no_column_are_solved_apart_with_the_result_of_one_den
     assert found[3] == 0.5
 
 
-def test_currents_of_unknown_constants_are_told_by_their_recordings():
+def test_currents_of_unknown_constants_are_found_by_their_recordings():
     made = motion(seconds=40.0)
     amperes = replace(made, provenance={"torque": "amperes: the torque constant is unknown"})
     none, auto = PAPER_CASES["none"], TrainConfig()

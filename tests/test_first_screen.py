@@ -85,7 +85,7 @@ def test_the_next_step_follows_from_the_promise(results, change, says):
     assert says in " ".join(step.words for step in told.steps)
 
 
-def test_what_is_missing_is_said_to_be(results):
+def test_what_is_missing_is_reported(results):
     bundle = free(replace(results.bundles[0], latched=None), hours=None)
     screen = first_screen(replace(results, bundles=(bundle,), collisions=()))
     assert screen.glances[0].value == "–" and "no collisions tested" in screen.glances[0].means

@@ -54,7 +54,7 @@ def test_a_split_by_time_leaves_a_gap_and_keeps_short_recordings_whole():
     assert last[0].duration_s == pytest.approx(0.2 * long.duration_s, abs=1e-3)
 
 
-def test_a_standing_joint_is_told_by_its_position_not_by_a_noisy_speed():
+def test_a_standing_joint_is_found_by_its_position_not_by_a_noisy_speed():
     rng = np.random.default_rng(1)
     noisy = recording(dq=rng.normal(0, 0.05, (3000, 1)))
     moving = recording(q=np.linspace(0, 0.1, 3000)[:, None])

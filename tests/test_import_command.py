@@ -85,7 +85,7 @@ def spans(workplace) -> dict[str, list[tuple[str, float, float]]]:
     return found
 
 
-def test_few_sources_are_each_split_by_time_with_a_gap_and_that_is_said(workplace, capsys):
+def test_few_sources_are_each_split_by_time_with_a_gap_and_that_is_reported(workplace, capsys):
     code, out, _ = run(capsys, workplace)
     assert code == 0 and out.splitlines()[-1] == str(workplace / "out")
     assert (
@@ -105,7 +105,7 @@ def test_few_sources_are_each_split_by_time_with_a_gap_and_that_is_said(workplac
     ]
 
 
-def test_sources_too_short_to_be_split_serve_whole_and_that_is_said(workplace, capsys):
+def test_sources_too_short_to_be_split_serve_whole_and_that_is_reported(workplace, capsys):
     code, out, _ = run(capsys, workplace, "[split]\ngap_s = 8")
     assert code == 0 and "too short to be split by time, whole in train: one" in out  # 4 s of it less half the gap
     assert spans(workplace)["train"][0] == ("one", 0.0, 19.99)
@@ -218,7 +218,7 @@ def test_payload_rotor_inertia_and_gravity_reach_the_robot_file(workplace, capsy
     assert after.links[1].mass == pytest.approx(before.links[1].mass + 1.5)
 
 
-def test_shapes_stay_with_the_dataset_and_missing_meshes_are_said(workplace, capsys):
+def test_shapes_stay_with_the_dataset_and_missing_meshes_are_reported(workplace, capsys):
     arm = workplace / "arm.urdf"
     shapes = '<collision><geometry><cylinder radius="0.05" length="0.4"/></geometry></collision></link>'
     mesh = '<collision><geometry><mesh filename="meshes/none.stl"/></geometry></collision></link>'

@@ -255,7 +255,7 @@ def test_a_csv_of_each_encoding_gives_the_same_numbers(tmp_path, encoding, end):
     assert (assert_table(path)[1]["Kraft_ä"] == 1.5).all()
 
 
-def test_a_gzipped_csv_is_told_by_its_bytes_and_a_truncated_one_refused(tmp_path):
+def test_a_gzipped_csv_is_found_by_its_bytes_and_a_truncated_one_refused(tmp_path):
     path = tmp_path / "run.dat"
     path.write_bytes(gzip.compress(lines().encode()))
     assert_table(path)

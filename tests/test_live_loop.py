@@ -145,7 +145,7 @@ def test_torques_are_multiplied_by_the_constants_of_the_bundle(bundle):
     assert other.verdicts[2100].sample.tau.tolist() == (recording.tau / constants)[2100].tolist()  # as it came
 
 
-def test_missing_samples_are_told_to_the_monitor_and_the_next_one_goes_on(bundle, clock):
+def test_missing_samples_are_reported_to_the_monitor_and_the_next_one_goes_on(bundle, clock):
     everything = samples_of(pushed(pushes=()))
     waits = []
 

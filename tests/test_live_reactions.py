@@ -126,7 +126,7 @@ def test_events_within_the_least_interval_are_counted_and_left_alone():
 
 
 @pytest.mark.parametrize("failure", [ValueError("no lamp"), SystemExit(1), KeyboardInterrupt()])
-def test_one_that_raises_is_told_and_goes_on_with_the_next_event(failure):
+def test_one_that_raises_is_reported_and_goes_on_with_the_next_event(failure):
     def act(one):
         if one.kind == "collision":
             raise failure
@@ -231,7 +231,7 @@ def test_a_monitor_that_is_killed_leaves_nothing_running(module, tmp_path):
     wait_for(lambda: gone(int((tmp_path / "pid").read_text())))
 
 
-def test_a_command_s_exit_status_is_told():
+def test_a_command_s_exit_status_is_reported():
     process = ReactionProcess(Reaction("r", ("collision",), command=("sh", "-c", "exit 3")))
     try:
         with pytest.raises(ReactionFailed, match="exit status 3"):

@@ -75,7 +75,7 @@ def holding(tree: _core.Tree, settings: _core.LoadSettings, load: Load) -> _core
     return _core.Tree(links, tree.gravity)
 
 
-def test_a_load_told_in_the_frame_of_tool0_weighs_what_the_same_body_weighs_there_by_pinocchio(tmp_path):
+def test_a_load_given_in_the_frame_of_tool0_weighs_what_the_same_body_weighs_there_by_pinocchio(tmp_path):
     from pinocchio_oracle import momentum, read_model
 
     path = six_axis_urdf(tmp_path)
@@ -193,7 +193,7 @@ def set_tool(monitor: _core.Monitor, since_ns: int | None = None) -> None:
     monitor.set_load(TOOL.mass, TOOL.com, TOOL.inertia, since_ns=since_ns, error_share=0.0)
 
 
-def test_told_at_the_grasp_no_push_is_seen_and_untold_it_weighs_on_every_joint(arm):
+def test_announced_at_the_grasp_no_push_is_seen_and_unannounced_it_weighs_on_every_joint(arm):
     bundle, free, _ = arm
     told, untold = _core.Monitor(bundle), _core.Monitor(bundle)
     before = told.run(*arrays(free, slice(0, PICKED + 1)))
@@ -330,7 +330,7 @@ def test_flights_know_what_the_arm_was_taken_to_carry(arm, tmp_path, capsys):
     assert dict(facts(flight))["carried"].endswith("s on") and "1.9 kg" in dict(facts(flight))["carried"]
 
 
-def test_a_live_monitor_is_told_by_lines_and_profiles(arm, tmp_path):
+def test_a_live_monitor_obeys_lines_and_profiles(arm, tmp_path):
     bundle, free, _ = arm
     said: list[str] = []
 

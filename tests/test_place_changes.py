@@ -68,7 +68,7 @@ def test_a_load_that_is_expected_is_no_part_of_the_touch(bundle, signals):
         np.testing.assert_allclose(one.best.force, other.best.force, rtol=1e-9)
 
 
-def test_told_after_a_tenth_of_a_second_and_again_when_it_grows(bundle, signals):
+def test_reported_after_a_tenth_of_a_second_and_again_when_it_grows(bundle, signals):
     first, again = found(bundle, signals, 1200)
     assert first.row == RISES + 100 and first.since_s == pytest.approx(0.1) and first.joint == 4
     assert again.row == RISES + 400
@@ -80,12 +80,12 @@ def test_told_after_a_tenth_of_a_second_and_again_when_it_grows(bundle, signals)
 
 
 @pytest.mark.parametrize("step", [1, 7, 250])
-def test_chunks_do_not_change_what_is_told(bundle, signals, step):
+def test_chunks_do_not_change_what_is_reported(bundle, signals, step):
     whole, parts = found(bundle, signals, 1200), found(bundle, signals, step)
     assert [(one.row, one.links, one.since_s) for one in whole] == [(one.row, one.links, one.since_s) for one in parts]
 
 
-def test_a_short_touch_is_told_when_its_alarm_falls(bundle, signals):
+def test_a_short_touch_is_reported_when_its_alarm_falls(bundle, signals):
     t_ns, q, said = signals
     said["alarm"][RISES + 30 :] = 0
     (only,) = PlaceFinder(bundle).find(0, t_ns, q, 0 * q, said)
@@ -172,7 +172,7 @@ def test_the_shortest_run_of_links_that_is_probable_is_stated(shares, guessed, w
     assert links_words(links, WRISTS, guessed) == words
 
 
-def test_nothing_is_told_without_an_alarm_or_a_model(bundle, signals):
+def test_nothing_is_reported_without_an_alarm_or_a_model(bundle, signals):
     t_ns, q, said = signals
     quiet = said | {"alarm": np.zeros_like(said["alarm"])}
     assert PlaceFinder(bundle).find(0, t_ns, q, 0 * q, quiet) == []

@@ -147,7 +147,7 @@ def test_a_place_explains_what_a_sharp_touch_shows(bundle, model):
     np.testing.assert_allclose(place.point, data.oMi[7].act(np.array(place.on_link)), atol=1e-9)
 
 
-def test_a_force_at_a_frame_is_told_from_touches_elsewhere(bundle, model):
+def test_a_force_at_a_frame_is_distinguished_from_touches_elsewhere(bundle, model):
     """Right as often as it says, both kinds being as frequent; and by the normal distributions of its definition."""
     wrenches, rng = _core.WrenchModel(bundle), np.random.default_rng(8)
     said, right = [], []
@@ -183,7 +183,7 @@ def test_a_joint_that_a_nearer_link_cannot_move_rules_it_out(model):
     assert sum(told.probability) == pytest.approx(1)
 
 
-def test_two_touches_are_said_to_be_no_single_one(bundle, model):
+def test_two_touches_are_reported_as_no_single_one(bundle, model):
     """On the last link and, the other way, on the second: each explains what the other does not."""
     wrenches, rng, small = _core.WrenchModel(bundle), np.random.default_rng(2), []
     for _ in range(20):

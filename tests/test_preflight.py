@@ -59,7 +59,7 @@ def test_a_folder_s_files_come_at_the_end_and_others_stay(tmp_path):
 @pytest.mark.parametrize(
     ("size", "told"), [(0, "0 bytes"), (999, "999 bytes"), (4096, "4.1 kB"), (2.5e9, "2.5 GB"), (3.6e15, "3.6 PB")]
 )
-def test_sizes_are_told_in_words(size, told):
+def test_sizes_are_reported_in_words(size, told):
     assert preflight.in_words(size) == told
 
 

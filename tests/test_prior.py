@@ -409,7 +409,7 @@ def test_a_wrong_mass_and_a_wrong_centre_of_mass_are_found(factors):
         assert np.abs(ours - theirs).max() < 5e-3 * np.abs(theirs).max()
 
 
-def test_corrections_that_only_the_ridge_decides_are_told_from_those_that_the_data_do():
+def test_corrections_that_only_the_ridge_decides_are_distinguished_from_those_that_the_data_do():
     fit = fit_prior(setup_of(perturbed(planar_arm(), mass_factor=0.5)), recordings(unloaded), CORRECTED)
     told = dict(zip(PARAMETERS, fit.corrections_determined.T, strict=True))
     # The elbow's gravity torque, inertia and rotor follow from its own motion. Its mass shows only together with the

@@ -129,7 +129,7 @@ def test_a_joint_that_did_not_move_keeps_its_friction_and_says_so(fitted):
     assert found.joints[1].moved_s == 0
 
 
-def test_a_push_of_a_second_is_told_and_not_learned(fitted):
+def test_a_push_of_a_second_is_reported_and_not_learned(fitted):
     bundle, usual = fitted[0], day(coulomb=1.2)
     without, found = refitted(bundle, usual), refitted(bundle, pushed(usual, 20.0, 21.0, 15.0))
     assert not without.touches

@@ -151,7 +151,7 @@ def test_an_acknowledged_alarm_whose_cause_lasts_is_raised_again_at_the_same_sam
     assert np.diff(raised[:4]).tolist() == [250, 250, 250]
 
 
-def test_what_is_said_of_every_sample_does_not_depend_on_the_chunks(bundle):
+def test_what_is_reported_of_every_sample_does_not_depend_on_the_chunks(bundle):
     def joined(chunk_s):
         chunks = list(replay(_core.Monitor(bundle), faulty(), acknowledge_after_s=0.2, chunk_s=chunk_s))
         assert [c.first_row for c in chunks] == np.cumsum([0] + [len(c.t_ns) for c in chunks[:-1]]).tolist()
@@ -233,7 +233,7 @@ def flown(bundle, samples, folder: Path, before_s=1.0, after_s=0.5, contacts=Fal
     return writer.news()
 
 
-def test_a_flight_holds_the_rows_of_the_recording_around_the_event_and_what_was_said_of_them(bundle, tmp_path):
+def test_a_flight_holds_the_rows_of_the_recording_around_the_event_and_what_was_reported_of_them(bundle, tmp_path):
     recording = pushed()
     news = flown(bundle, recording, tmp_path, acknowledge_after_s=0.8)
     said = _core.Monitor(bundle).run(recording.t_ns, recording.q, recording.dq, recording.tau)
@@ -301,7 +301,7 @@ def test_a_contact_is_explained_with_its_own_limit_and_only_where_asked_for(bund
     assert f"{abs(said['tau_ext'][k, joint]) - limit:.3f} Nm over its contact limit of {limit:.3f} Nm" in text
 
 
-def test_a_contact_is_told_with_its_own_limit_in_lines_and_json(bundle, tmp_path, capsys):
+def test_a_contact_is_reported_with_its_own_limit_in_lines_and_json(bundle, tmp_path, capsys):
     soft = pushed(pushes=((2.0, 1, 1.3 * LIMIT_NM / 2),), length_s=1.0)
     bundle.save(str(tmp_path / "watching.tauext"))
     save_recording(soft, tmp_path / "soft.parquet")
@@ -320,7 +320,7 @@ def test_a_contact_is_told_with_its_own_limit_in_lines_and_json(bundle, tmp_path
     assert events[0]["estimate_units"] == ["N m", "N m"]
 
 
-def test_answers_are_told_in_the_bundle_s_own_units(tmp_path, capsys):
+def test_answers_are_reported_in_the_bundle_s_own_units(tmp_path, capsys):
     """An arm recorded in amperes, whose torque constants nobody knows."""
     other = watching_bundle()
     other.units = _core.TorqueUnits(given=_core.TorqueUnit.ampere)
@@ -333,7 +333,7 @@ def test_answers_are_told_in_the_bundle_s_own_units(tmp_path, capsys):
     assert " Nm" not in text and " A over its collision limit" in text
 
 
-def test_a_limit_that_moves_is_told_with_the_standard_error(bundle, tmp_path, capsys):
+def test_a_limit_that_moves_is_reported_with_the_standard_error(bundle, tmp_path, capsys):
     moving, recording = with_error_scale(watching_bundle()), pushed()
     moving.save(str(tmp_path / "moving.tauext"))
     save_recording(recording, tmp_path / "pushed.parquet")
@@ -442,7 +442,7 @@ def test_a_collision_while_a_drive_is_saturated_is_a_collision_and_its_estimate_
     )
 
 
-def test_times_told_are_sound_where_the_clock_was_set_back(bundle):
+def test_times_reported_are_sound_where_the_clock_was_set_back(bundle):
     samples = faulty()
     flight = cut_flight(bundle, samples, 6200, before=100)
     text = explain(flight, rows_kept(flight), FlightSource.of(bundle, samples))
@@ -568,7 +568,7 @@ def test_the_command_tells_events_and_a_summary_in_lines(place, capsys):
     assert "flights" not in out and "stood from" not in out
 
 
-def test_a_latched_collision_is_said_to_hide_what_follows(place, capsys):
+def test_a_latched_collision_is_reported_to_hide_what_follows(place, capsys):
     _, out, _ = run(capsys, place / "watching.tauext", place / "pushed.parquet")
     assert re.search(r"the collision alarm lasted from 2\.0\d\d s to the end .*--acknowledge-after-s", out)
     assert out.count("COLLISION") == 1
@@ -640,7 +640,7 @@ def test_a_paced_run_says_the_same(place, capsys):
     assert events(fast) == events(paced)
 
 
-def test_a_disk_error_is_told_once_the_replay_goes_on_and_the_exit_code_is_2(place, capsys, monkeypatch):
+def test_a_disk_error_is_reported_once_the_replay_goes_on_and_the_exit_code_is_2(place, capsys, monkeypatch):
     folder = place / "flights"
 
     def full(*arguments):

@@ -62,7 +62,7 @@ Says what it does.
         ("<style></style>", []),
     ],
 )
-def test_what_is_broken_or_loaded_from_elsewhere_is_told(tmp_path, added, told):
+def test_what_is_broken_or_loaded_from_elsewhere_is_reported(tmp_path, added, told):
     (tmp_path / "index.html").write_text(GOOD + added)
     (tmp_path / "other.html").write_text('<p id="there">')
     (tmp_path / "a.png").write_text("")

@@ -57,7 +57,7 @@ ALARM = [0, 1, 2, 2, 2, 2, 2, 2, 0, 1, 1]
 
 
 @pytest.mark.parametrize("chunks", [[11], [1] * 11, [3, 4, 4]])
-def test_a_kind_is_told_when_it_becomes_known_or_another_whatever_the_chunks(chunks):
+def test_a_kind_is_reported_when_it_becomes_known_or_another_whatever_the_chunks(chunks):
     found = touches(said(TOUCH, ALARM), chunks)
     assert [(c.row, TOUCHES[c.touch], TOUCHES[c.was], c.alarm, c.joint) for c in found] == [
         (3, "impact", "unknown", 2, 1),

@@ -139,7 +139,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(at, tmp_path, monkeypatch)
     assert again.parameters.tobytes() == whole.parameters.tobytes() and again.history == whole.history
 
 
-def test_an_interruption_while_a_loss_is_told_changes_no_entry(tmp_path):
+def test_an_interruption_while_a_loss_is_reported_changes_no_entry(tmp_path):
     setup, _, windows = prepared([recording(k) for k in range(4)])
     config = TrainConfig(recipe="paper", hidden=4, epochs=60, batch=200)
     path = tmp_path / "checkpoint.npz"

@@ -88,7 +88,7 @@ def test_a_controller_that_boots_does_not_hold_up_the_process(monkeypatch):
         UrSource(host).describe(WAIT_S)
 
 
-def test_nobody_there_and_a_controller_that_sends_nothing_are_told_apart():
+def test_nobody_there_and_a_controller_that_sends_nothing_are_distinguished():
     controller = Controller()
     try:
         controller.do("silence")

@@ -212,7 +212,7 @@ def test_long_standstill_is_dropped_and_reported(tmp_path):
     assert "elbow" in [one["joint"] for one in content["joints"] if "never moved" in one["missing"][0]]
 
 
-def test_what_is_missing_is_said_in_words(tmp_path):
+def test_what_is_missing_is_reported_in_words(tmp_path):
     content = Script(tmp_path / "cell").go(65).end().coverage()
     shoulder, elbow = content["joints"]
     assert elbow["missing"] == ["never moved; let it move through its working range"]

@@ -125,7 +125,7 @@ def test_kill_9_during_a_training_costs_that_training_alone(copy):
 
 
 @pytest.mark.slow
-def test_motion_without_the_next_minutes_waits_and_faults_are_told(copy, motion, monkeypatch):
+def test_motion_without_the_next_minutes_waits_and_faults_are_reported(copy, motion, monkeypatch):
     monkeypatch.setattr(arm_change.Days, "strokes", lambda *_: [])
     assert Trainer(copy).step() == "train"  # two minutes are there
     pending = json.loads(copy.pending_file.read_text())

@@ -308,7 +308,7 @@ def test_the_example_is_a_fleet(tmp_path, data):
     assert [len(arm.stages) for arm in fleet.arms] == [4, 4, 4] and fleet.arms[1].train.minutes == 20
 
 
-def test_an_error_of_our_own_fails_one_task_and_is_told_in_full(tmp_path):
+def test_an_error_of_our_own_fails_one_task_and_is_reported_in_full(tmp_path):
     def stage(work, part):
         (part / "half").touch()
         raise KeyError("joint9")

@@ -76,7 +76,7 @@ def rms(bundle: _core.Bundle) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_friction_of_each_arm_is_told_by_that_of_the_fleet(made):
+def test_friction_of_each_arm_is_predicted_by_that_of_the_fleet(made):
     facts = load_fleet_prior(made[0]).facts
     healthy = np.mean([one[0] for one in FRICTION])
     for one, (shoulder, _) in zip(facts["arms"], FRICTION, strict=True):
@@ -263,7 +263,7 @@ def test_a_damaged_file_is_refused_in_one_line(made, tmp_path, damage):
     assert "\n" not in str(refused.value)
 
 
-def test_show_says_what_the_next_arm_is_told(made, capsys):
+def test_show_prints_what_the_next_arm_begins_with(made, capsys):
     assert main(["show", str(made[0]), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     raw = json.loads(made[0].read_text())

@@ -72,7 +72,7 @@ def test_a_weight_that_no_arm_shows_stays_zero():
     assert found.mean[4] == 0 and not found.covariance[4].any() and np.diag(found.covariance)[:4].all()
 
 
-def test_an_arm_that_shows_little_is_told_by_the_others():
+def test_an_arm_that_shows_little_is_fitted_by_the_others():
     """Its own weights are the fleet's where its data say nothing."""
     many = fleet(40)
     silent = Evidence(1e-6 * np.eye(5), np.zeros(5), 1.0)

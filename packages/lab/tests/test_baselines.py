@@ -129,7 +129,7 @@ def test_two_minutes_are_enough_for_the_whole_recipe(tmp_path):
     assert (np.sqrt(np.nanmean(said["tau_ext"] ** 2, axis=0)) < [1.5, 0.75]).all()
 
 
-def test_the_minutes_are_told_also_where_all_are_used(dataset, tmp_path):
+def test_the_minutes_are_reported_also_where_all_are_used(dataset, tmp_path):
     bundle = trained(dataset, tmp_path / "all.tauext", recipe="observer")
     assert json.loads(bundle.provenance)["training_minutes"] == pytest.approx(14 * 6 / 60)
 

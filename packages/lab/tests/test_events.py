@@ -79,7 +79,7 @@ def test_short_events_and_those_before_the_warm_up_are_neither_missed_nor_free_t
     assert summary.all.free_hours * 3600 == pytest.approx(5.5 - 0.31, abs=0.003)
 
 
-def test_moving_and_resting_events_and_time_are_told_apart_by_position():
+def test_moving_and_resting_events_and_time_are_distinguished_by_position():
     q = np.where(np.arange(6000) < 3000, 0.0, 0.1 * (np.arange(6000) - 3000) * 1e-3)[:, None]
     rng = np.random.default_rng(0)
     made = labelled((1000, 1200), (4000, 4200), q=q, dq=rng.normal(0, 0.05, (6000, 1)))

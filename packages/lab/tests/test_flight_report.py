@@ -89,7 +89,7 @@ def test_the_page_holds_explanation_numbers_and_figures_and_asks_no_host(collisi
     assert " ".join(["shoulder", told[0], "–", *told[1:]]) in words  # no error scale, no standard error
 
 
-def test_limits_that_move_and_the_standard_error_are_drawn_and_told(tmp_path):
+def test_limits_that_move_and_the_standard_error_are_drawn_and_reported(tmp_path):
     bundle, samples = with_error_scale(watching_bundle()), pushed()
     flight = cut_flight(bundle, samples, first_row(bundle, samples, alarm=2))
     path = write_flight(flight, tmp_path, FlightSource.of(bundle, samples))

@@ -111,7 +111,7 @@ def test_strength_bins_hold_every_collision_once():
     assert bins[1].delay_median_s == pytest.approx(0.02) and bins[0].delay_median_s is None
 
 
-def test_alarms_and_errors_are_told_apart_by_the_time_since_the_touch():
+def test_alarms_and_errors_are_distinguished_by_the_time_since_the_touch():
     contact = np.zeros(6000, dtype=np.int8)
     contact[1000:1200] = contact[5000:5100] = 1
     contact[5500:] = -1

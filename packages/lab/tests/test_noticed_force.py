@@ -173,7 +173,7 @@ def test_the_contact_limit_of_an_evaluation_is_that_of_the_monitor(arm_bundle):
         np.testing.assert_array_equal(told_, _core.Monitor(one).run(*signals)["contact_limit_nm"])
 
 
-def test_a_force_that_stays_is_told_when_the_observer_shows_it(arm_bundle):
+def test_a_force_that_stays_is_reported_when_the_observer_shows_it(arm_bundle):
     found = noticed(arm_bundle, np.zeros((1, 2)), {}, 0.0)
     assert found.twice_after_s["contact"] == pytest.approx(np.log(2) / 20 + arm_bundle.contact_hold_s)
     still = np.zeros((1200, 2))

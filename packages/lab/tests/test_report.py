@@ -265,7 +265,7 @@ def test_the_papers_numbers_agree_among_themselves():
 @pytest.mark.parametrize(
     "scale, words", [("smoke", "The numbers mean nothing"), ("full", "as much data"), (None, None)]
 )
-def test_the_scale_is_said_plainly(scale, words, copied):
+def test_the_scale_is_reported_plainly(scale, words, copied):
     change(copied[0], lambda content: content["provenance"].update(scale=scale))
     page = page_of(copied[0])
     assert ('class="notice"' in page) == (words is not None)
@@ -301,7 +301,7 @@ def test_names_are_text_and_never_markup(copied):
     assert "&lt;b&gt;fast&lt;/b&gt; &amp; loud" in page and "<i>exact" not in page
 
 
-def test_what_was_done_to_a_bundle_after_its_training_is_said(copied):
+def test_what_was_done_to_a_bundle_after_its_training_is_reported(copied):
     words = "is not as training left it"
     assert words not in page_of(copied[0])
     first = load_results(copied[0]).bundles[0]
@@ -527,7 +527,7 @@ def test_a_method_has_one_row_and_detectors_that_know_nothing_stand_under_it(mad
 @pytest.mark.parametrize(
     "kept, consistent, word", [(None, None, "–"), (False, False, "no"), (True, True, "yes"), (True, False, "far below")]
 )
-def test_a_promise_is_said_to_be_kept_or_not(kept, consistent, word, copied):
+def test_a_promise_is_reported_as_kept_or_not(kept, consistent, word, copied):
     entries = {"promise_kept": kept, "promise_consistent": consistent}
     change(copied[0], lambda content: content["bundles"][0]["free_motion"].update(entries))
     assert word in methods(load_results(copied[0])).rows[0].cells[-5]

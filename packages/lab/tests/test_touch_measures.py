@@ -102,7 +102,7 @@ def measured(bundle) -> Touches:
     return measures.summary()
 
 
-def test_pushes_on_known_links_are_told_on_them_with_their_newtons(bundle):
+def test_pushes_on_known_links_are_reported_on_them_with_their_newtons(bundle):
     summary = measured(bundle)
     assert [one.id for one in summary.reported] == ["pushed:0", "pushed:1", "pushed:2"]  # the fourth raised no alarm
     links = summary.links
@@ -161,7 +161,7 @@ def test_the_report_has_the_tables_and_older_results_none(tmp_path, undrawn):
     assert touched(load_results(results)) == []
 
 
-def test_what_was_told_in_words():
+def test_what_was_reported_in_words():
     assert touch_estimate_words(None) == "–" and touch_estimate_words(TouchEstimate("x", None)) == "–"
     assert touch_estimate_words(TouchEstimate("x", "unknown")) == "unknown"
     assert (

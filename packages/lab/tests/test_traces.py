@@ -273,7 +273,7 @@ def test_the_page_holds_the_traces_of_five_methods_or_of_those_chosen(made):
     assert page.count('class="traces-data"') == sum(len(one["tiers"]) for one in told["recordings"])
 
 
-def test_the_traces_stay_under_their_size_and_it_is_said_where_there_is_no_room(made):
+def test_the_traces_stay_under_their_size_and_it_is_reported_where_there_is_no_room(made):
     results, data = made
     sizes = {room: len(section_of(results, data, room, ("exact",)).encode()) for room in (4e5, 8e5)}
     assert sizes[4e5] <= 4e5 < sizes[8e5] <= 8e5
@@ -281,7 +281,7 @@ def test_the_traces_stay_under_their_size_and_it_is_said_where_there_is_no_room(
     assert "Interactive traces are not available: the page has 0.00 MB left for them" in page and "<script" not in page
 
 
-def test_recordings_without_estimates_are_left_out_and_without_any_that_is_said(made, tmp_path):
+def test_recordings_without_estimates_are_left_out_and_without_any_that_is_reported(made, tmp_path):
     results, data = (shutil.copytree(folder, tmp_path / folder.name) for folder in made)
     (data / "collisions-000.parquet").unlink()
     for bundle in SEVEN_BUNDLES:

@@ -137,7 +137,7 @@ def test_a_motor_that_drops_out_is_named_and_its_samples_are_refused(motors):
     assert any("motor 0x02 (lift) answers again" in text for text in told + source.notes())
 
 
-def test_faults_are_told_and_other_frames_are_not_taken_for_states(motors):
+def test_faults_are_reported_and_other_frames_are_not_taken_for_states(motors):
     source = source_of(motors)
     open_it(source)
     taken(source, 1)

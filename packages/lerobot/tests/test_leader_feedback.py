@@ -101,7 +101,7 @@ def test_never_gives_more_than_tank_and_friction_hold(seed, along):
     assert feedback.tank.given_j == pytest.approx(given)
 
 
-def test_what_is_rougher_than_was_told_overdraws_the_tank_by_no_more_and_shuts_it():
+def test_what_is_rougher_than_was_declared_overdraws_the_tank_by_no_more_and_shuts_it():
     feedback = LeaderFeedback(
         1, FeedbackSettings(cap_nm=0.5, dead_band_sigmas=0, slew_nm_s=BIG, tank_j=0.001, rest_w=0.0)
     )

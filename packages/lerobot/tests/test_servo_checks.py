@@ -98,7 +98,7 @@ def test_a_load_register_with_its_sign_bit_is_named(two):
     }
 
 
-def test_a_phase_current_is_told_by_its_back_emf_and_is_no_finding(two):
+def test_a_phase_current_is_found_by_its_back_emf_and_is_no_finding(two):
     efforts = efforts_of([recorded(two, 2.7 * two.torque / 1.9)])
     assert [e.kind for e in efforts] == ["phase current"] * 2
     assert not servo_findings(("servo1", "servo2"), efforts)

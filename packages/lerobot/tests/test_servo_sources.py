@@ -177,7 +177,7 @@ def test_a_servo_that_drops_out_is_named_and_waited_for(rig):
     assert any("servo 2 (lift) answers again, after " in text for text in told + rig.source.notes())
 
 
-def test_a_port_that_goes_is_told_and_waited_for(rig, monkeypatch):
+def test_a_port_that_goes_is_reported_and_waited_for(rig, monkeypatch):
     monkeypatch.setattr("tauext.sources.reader.RETRY_S", 0.05)
     rig.open()
     taken(rig.source, 2)
@@ -192,7 +192,7 @@ def test_a_port_that_goes_is_told_and_waited_for(rig, monkeypatch):
     assert not rig.source.ended
 
 
-def test_a_servo_that_is_not_there_is_told_at_once(rig):
+def test_a_servo_that_is_not_there_is_reported_at_once(rig):
     rig.source.bus.port.answer_s = 0.05
     rig.bus.sent = lambda one, packet: b"" if one == 3 else packet
     with pytest.raises(ConfigError, match=r"servo 3 \(elbow\) does not answer; 1, 2 do$"):
@@ -523,7 +523,7 @@ def test_a_servo_that_does_not_take_its_goal_is_named(two):
     source.close()
 
 
-def test_what_a_servo_complains_of_is_told_once(two):
+def test_what_a_servo_complains_of_is_reported_once(two):
     error, text = (36, "overheated, overload") if two.kind == "feetech" else (0x80, "a hardware alert; its register 70")
     source = two.opened()
     try:

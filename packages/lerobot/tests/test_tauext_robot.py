@@ -118,7 +118,7 @@ def test_a_recorded_dataset_gives_the_same_again_to_the_last_bit(trained, tmp_pa
         np.testing.assert_array_equal(again[name], values)
 
 
-def test_a_dataset_of_state_and_action_gets_what_the_robot_would_have_said(trained, tmp_path):
+def test_a_dataset_of_state_and_action_gets_what_the_robot_would_have_sent(trained, tmp_path):
     """Recorded without tauext, labelled after; lerobot reads it, and its statistics are lerobot's."""
     from lerobot.datasets.compute_stats import compute_episode_stats
 

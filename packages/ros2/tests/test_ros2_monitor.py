@@ -37,7 +37,7 @@ from tauext.robot.read import load_tree
 SPACE, TOPIC, DEPTH = "/whole", "/whole/joint_states", 8000
 
 
-def test_torques_equal_the_monitor_offline_bit_for_bit_and_alarms_are_told():
+def test_torques_equal_the_monitor_offline_bit_for_bit_and_alarms_are_reported():
     bundle, made = watching_bundle(), pushed(seconds=4.0)
     settings = Ros2Settings(topic=TOPIC, namespace=SPACE, domain=DOMAIN, depth=DEPTH)
     source, publisher = connect(settings)

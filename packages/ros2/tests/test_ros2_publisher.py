@@ -180,7 +180,7 @@ def test_torques_bear_stamp_and_names_and_nothing_but_effort(talking, peer, spac
     assert first.header.stamp.ns == 5 * 10**18 // 3
 
 
-def test_alarms_are_latched_and_told_once(talking, peer, space):
+def test_alarms_are_latched_and_reported_once(talking, peer, space):
     publisher, _ = talking
     early = {name: reading(peer, f"{space}/{name}", Bool, "transient-local") for name in ("contact", "collision")}
     assert [next_of(early[name]).data for name in early] == [False, False]

@@ -96,7 +96,7 @@ def test_slots_do_not_drift_with_jitter_and_losses_move_one_sample_alone():
 
 
 @pytest.mark.parametrize(("publisher_ms", "rule"), [(2, "less than"), (0.4, "no multiple of")])
-def test_another_rate_is_given_on_whole_and_said(publisher_ms, rule):
+def test_another_rate_is_given_on_whole_and_reported(publisher_ms, rule):
     rate = learnt(1, publisher_ms)
     times = [k * publisher_ms for k in range(21, 41)]
     assert given(rate, times) == times
@@ -159,7 +159,7 @@ def test_the_first_publisher_is_followed_until_it_is_silent():
     assert followed.is_another(7, 4 + TAKEOVER_NS)
 
 
-def test_a_condition_is_told_when_it_begins_and_stands_while_it_is_seen():
+def test_a_condition_is_reported_when_it_begins_and_stands_while_it_is_seen():
     conditions = Conditions()
     conditions.report("rate", "slow", 0)
     conditions.report("rate", "slower", HOLD_NS)

@@ -54,7 +54,7 @@ def send(writer: bytes, payloads: list[bytes]) -> None:
                 wire.sendto(packet, ("127.0.0.1", port))
 
 
-def test_a_publisher_of_garbage_is_counted_told_once_and_not_printed(writer, capfd):
+def test_a_publisher_of_garbage_is_counted_reported_once_and_not_printed(writer, capfd):
     live, _ = open_source("ros2", {"ros2": Ros2Settings(topic=TOPIC, domain=DOMAIN)})
     live.open(SourceSettings(("a", "b"), 1_000_000))
     good = JointState(Header(Time(1, 0)), ["a", "b"], [0.0, 0.0], [0.0, 0.0], [0.0, 0.0]).serialize(use_version_2=False)

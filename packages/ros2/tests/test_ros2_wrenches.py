@@ -84,7 +84,7 @@ def test_a_wrench_is_that_of_the_core_along_the_frame_s_own_axes_with_its_covari
     assert sizes == [(6, 36), (6, 6)] and with_doubt.layout.dim[0].label.split()[3] == "torque.x"
 
 
-def test_nothing_is_told_of_a_sample_that_is_missing_or_not_known(talking):
+def test_nothing_is_reported_of_a_sample_that_is_missing_or_not_known(talking):
     _, publisher, reading = talking
     reader = reading("wrench/elbow", WrenchStamped)
     publisher.verdict(verdict([np.nan, np.nan]))
@@ -106,7 +106,7 @@ def test_forces_begin_with_the_first_bundle(bundle, talking):
     assert "must be one of" in Wrenches(("tool9",), None).follow(bundle)
 
 
-def test_what_cannot_be_told_is_refused_at_the_start_in_one_line(bundle):
+def test_what_cannot_be_reported_is_refused_at_the_start_in_one_line(bundle):
     def start(*frames, of=bundle):
         connect(Ros2Settings(domain=DOMAIN, wrench_frames=frames), of)
 

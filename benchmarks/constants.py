@@ -37,7 +37,7 @@ from tauext.monitor.known_load import weigh_constants
 from tauext.monitor.weighing import identify, load_frame, see
 from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
 from tauext.robot.read import load_tree
-from tauext.train.preparation import Given
+from tauext.train.preparation import TrainingInput
 from tauext.train.stage import train_on_recordings
 
 ARMS = ("ur5", "panda", "kinova", "seven_axis", "palletizer", "offset_wrist", "light_arm")
@@ -93,7 +93,7 @@ def of_arm(maker: Maker, seed: int, trained: bool) -> Iterator[dict[str, Any]]:
         if trained and kind != "tool missing":
             with tempfile.TemporaryDirectory() as folder:
                 out = Path(folder) / "arm.tauext"
-                given = Given(maker.model, PAPER_CASES["exact"], [training], [], model=tree)
+                given = TrainingInput(maker.model, PAPER_CASES["exact"], [training], [], model=tree)
                 train_on_recordings(given, TrainConfig(recipe="prior"), out)
                 bundle = load_bundle(out)
             yield from used(maker, arm, seed, bundle, about, wrong)

@@ -33,7 +33,7 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.files.atomic_write import atomic_write
 from tauext.robot.model_case import estimated_model
-from tauext.train.preparation import Given
+from tauext.train.preparation import TrainingInput
 from tauext.train.stage import train_on_recordings
 
 # --- Free motion to train on, and a hand that pulls.
@@ -186,7 +186,7 @@ def train(name: str, out: Path) -> Path:
         robot = out / f"{name}.xml"
         robot.write_text(arm.xml)
         tree = estimated_model(robot, arm.joints, PAPER_CASES["exact"])
-        train_on_recordings(Given(robot, PAPER_CASES["exact"], recordings, [], model=tree), config, path)
+        train_on_recordings(TrainingInput(robot, PAPER_CASES["exact"], recordings, [], model=tree), config, path)
     return path
 
 

@@ -31,7 +31,7 @@ from tauext.data.recording import Recording
 from tauext.errors import TrainingError
 from tauext.monitor.estimate import estimate_recording
 from tauext.robot.model_case import chosen_case, estimated_model
-from tauext.train.preparation import Given
+from tauext.train.preparation import TrainingInput
 from tauext.train.stage import train_on_recordings
 
 GAP_S = 2.0
@@ -76,7 +76,7 @@ def one_split(folder: Path, minutes: float, seed: int, piece_s: float) -> dict:
         path = Path(scratch) / "made.tauext"
         tree = estimated_model(robot, pieces[0].joints, model)
         try:
-            train_on_recordings(Given(robot, model, pieces, [], model=tree), TrainConfig(recipe="prior"), path)
+            train_on_recordings(TrainingInput(robot, model, pieces, [], model=tree), TrainConfig(recipe="prior"), path)
         except TrainingError as error:
             return row | {"refused": str(error)}
         bundle = load_bundle(path)

@@ -19,7 +19,7 @@ from tauext.fit.torque_constants import TorqueConstants, fit_torque_constants, w
 from tauext.monitor.estimate import estimate_recording
 from tauext.train.limits import LIMITS, limit_findings, put_limits
 from tauext.train.paper_limits import LimitMotion
-from tauext.train.preparation import Given, training_motion, wants_constants
+from tauext.train.preparation import TrainingInput, training_motion, wants_constants
 from tauext.train.stage import train_on_recordings
 from tauext.train.supported_limits import NOT_MEASURED, factor_after
 
@@ -50,7 +50,7 @@ def trained(tmp_path: Path, monkeypatch, training, validation=(), **settings):
     monkeypatch.setattr("tauext.train.preparation.torque_limits", lambda robot, joints: np.full(len(joints), np.inf))
     out = tmp_path / "made.tauext"
     train_on_recordings(
-        Given(Path(), EXACT, list(training), list(validation), model=planar_arm()), TrainConfig(**settings), out
+        TrainingInput(Path(), EXACT, list(training), list(validation), model=planar_arm()), TrainConfig(**settings), out
     )
     bundle = _core.Bundle.load(str(out))
     return bundle, json.loads(bundle.provenance)

@@ -28,7 +28,7 @@ from tauext.monitor.loads import load_and_ago_of_text, load_of_text, read_loads
 from tauext.monitor.loop import Loop
 from tauext.robot.frames import load_frame
 from tauext.robot.read import load_tree
-from tauext.train.preparation import Given
+from tauext.train.preparation import TrainingInput
 from tauext.train.stage import train_on_recordings
 
 TOOL = Load(1.9, [0.03, -0.04, 0.08], [0.012, 0.014, 0.007, 0.001, -0.002, 0.0015], 0.0)
@@ -382,7 +382,9 @@ def test_training_finds_the_frame_and_the_mass_that_a_drive_cannot_hold(arm, tmp
 
     out = tmp_path / "trained.tauext"
     train_on_recordings(
-        Given(path, PAPER_CASES["exact"], pieces[:2], pieces[2:], model=tree), TrainConfig(recipe="observer"), out
+        TrainingInput(path, PAPER_CASES["exact"], pieces[:2], pieces[2:], model=tree),
+        TrainConfig(recipe="observer"),
+        out,
     )
     settings = _core.Bundle.load(str(out)).load_settings
     assert settings.frame == "tool0" and settings.settable
@@ -396,7 +398,9 @@ def test_training_finds_the_frame_and_the_mass_that_a_drive_cannot_hold(arm, tmp
     with pytest.raises(ConfigError, match="load frame 'elbow' is no link"):
         config = TrainConfig(recipe="observer", load_frame="elbow")
         train_on_recordings(
-            Given(path, PAPER_CASES["exact"], pieces[:2], pieces[2:], model=tree), config, tmp_path / "other.tauext"
+            TrainingInput(path, PAPER_CASES["exact"], pieces[:2], pieces[2:], model=tree),
+            config,
+            tmp_path / "other.tauext",
         )
 
 

@@ -25,7 +25,7 @@ from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
 from tauext.files.typed_table import field_help, hints_of
 from tauext.recipes import RECIPES, baselines
-from tauext.train.preparation import Given, training_settings, why_impossible
+from tauext.train.preparation import TrainingInput, training_settings, why_impossible
 from tauext.train.stage import train_on_recordings
 
 EXACT, NONE = PAPER_CASES["exact"], PAPER_CASES["none"]
@@ -66,7 +66,10 @@ def test_a_regression_baseline_is_one_row_and_one_fit_function(tmp_path, viscous
     out, heard = tmp_path / "viscous.tauext", Heard()
     config = TrainConfig(recipe="viscous")
     train_on_recordings(
-        Given(Path(), EXACT, [motion(60.0)], [motion(20.0, seed=1)], model=planar_arm()), config, out, report=heard
+        TrainingInput(Path(), EXACT, [motion(60.0)], [motion(20.0, seed=1)], model=planar_arm()),
+        config,
+        out,
+        report=heard,
     )
 
     bundle = _core.Bundle.load(str(out))
@@ -135,7 +138,7 @@ def test_training_tells_its_reporter_how_far_it_is_and_prints_nothing(tmp_path, 
     heard = Heard()
     config = TrainConfig(recipe="dense", max_steps=20, batch=4, hidden=2, targets=20, seed=1)
     out = tmp_path / "small.tauext"
-    train_on_recordings(Given(Path(), EXACT, [motion(40.0)], [], model=planar_arm()), config, out, report=heard)
+    train_on_recordings(TrainingInput(Path(), EXACT, [motion(40.0)], [], model=planar_arm()), config, out, report=heard)
     assert heard.titles == ["train small"] and heard.steps[-1][:2] == (20, 20)
     assert any("validate, " in sentence for sentence in heard.sentences)
     assert capsys.readouterr() == ("", "")
@@ -156,7 +159,7 @@ def test_a_bundle_that_rejects_its_own_training_motion_is_warned_of(tmp_path, un
     gaps = with_gaps(motion(60.0), 10.0)
     heard, out, config = Heard(), tmp_path / "arm.tauext", TrainConfig(recipe="observer")
     train_on_recordings(
-        Given(Path(), EXACT, [gaps, motion(20.0, seed=1, name="even")], [], model=planar_arm()),
+        TrainingInput(Path(), EXACT, [gaps, motion(20.0, seed=1, name="even")], [], model=planar_arm()),
         config,
         out,
         report=heard,
@@ -170,7 +173,7 @@ def test_a_bundle_that_rejects_its_own_training_motion_is_warned_of(tmp_path, un
 
 def test_a_bundle_that_rejects_a_fifth_of_its_training_motion_is_refused_unless_accepted(tmp_path, unlimited):
     gaps, out, config = with_gaps(motion(40.0), 1.5), tmp_path / "arm.tauext", TrainConfig(recipe="observer")
-    work = (Given(Path(), EXACT, [gaps], [], model=planar_arm()), config, out)
+    work = (TrainingInput(Path(), EXACT, [gaps], [], model=planar_arm()), config, out)
     with pytest.raises(TrainingError, match=r"rejects 3\d\.\d% of its own training motion \(gap.*--accept rejected"):
         train_on_recordings(*work)
     assert not out.exists()
@@ -188,15 +191,15 @@ def test_a_monitor_takes_the_rates_of_its_training_and_no_others(tmp_path, unlim
     """The mean of an exponential second ends at 1.08."""
     out, config = tmp_path / "arm.tauext", TrainConfig(recipe="observer")
     even, slow = motion(40.0, seed=1, name="even"), stretched(motion(40.0), 8)
-    train_on_recordings(Given(Path(), EXACT, [even, slow], [], model=planar_arm()), config, out)
+    train_on_recordings(TrainingInput(Path(), EXACT, [even, slow], [], model=planar_arm()), config, out)
     bundle = _core.Bundle.load(str(out))
     assert bundle.rate_tolerance == pytest.approx(0.08, abs=1e-4)
     for recording, cause in ((slow, False), (stretched(motion(40.0), 10), True)):
         causes = _core.estimate(bundle, recording.t_ns, recording.q, recording.dq, recording.tau, 1)["causes"]
         assert ("wrong rate" in _core.cause_names(int(np.bitwise_or.reduce(causes)))) is cause
-    train_on_recordings(Given(Path(), EXACT, [even], [], model=planar_arm()), config, out)
+    train_on_recordings(TrainingInput(Path(), EXACT, [even], [], model=planar_arm()), config, out)
     assert _core.Bundle.load(str(out)).rate_tolerance == _core.RATE_TOLERANCE_RANGE[0] == 0.05
     with pytest.raises(TrainingError, match="made.*differs by more than 15% from the sample period, 8 ms"):
         train_on_recordings(
-            Given(Path(), EXACT, [even, stretched(motion(40.0), 18)], [], model=planar_arm()), config, out
+            TrainingInput(Path(), EXACT, [even, stretched(motion(40.0), 18)], [], model=planar_arm()), config, out
         )

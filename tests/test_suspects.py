@@ -17,7 +17,7 @@ from tauext.data.labels import Label
 from tauext.fit.tail import promised_per_hour
 from tauext.train.limits import LIMITS
 from tauext.train.paper_limits import LimitMotion
-from tauext.train.preparation import Given
+from tauext.train.preparation import TrainingInput
 from tauext.train.stage import accepted_settings, train_on_recordings
 from tauext.train.suspects import are_same, search, suspect_level, suspect_sentences, without_suspects
 
@@ -54,7 +54,7 @@ def trained(recording, out):
     robot = out.with_suffix(".xml")
     robot.write_text(rig_arm().xml)
     settings = TrainConfig(recipe="prior", threads=1, prior=PriorConfig(most_ripples=0))
-    given = Given(robot, PAPER_CASES["exact"], [recording])
+    given = TrainingInput(robot, PAPER_CASES["exact"], [recording])
     suspects = train_on_recordings(given, accepted_settings(settings, ()), out)
     return _core.Bundle.from_bytes(Path(out).read_bytes()), suspects
 

@@ -17,7 +17,7 @@ from tauext.monitor.estimate import estimate_recording
 from tauext.progress import SILENT
 from tauext.robot.model_case import chosen_case
 from tauext.train.data_check import check_results
-from tauext.train.preparation import Given
+from tauext.train.preparation import TrainingInput
 from tauext.train.stage import train_bundle
 
 VELOCITY = ("velocity-unit", "velocity-mismatch", "velocity-sign", "velocity-delay")
@@ -105,7 +105,7 @@ def looked_at(folder: Path) -> list[Seen]:
     robot = dataset.robot_file(None)
     case, _ = chosen_case(None, robot)
     recordings = dataset.training(), dataset.recordings("validation")
-    results = check_results(dataset, Given(robot, PAPER_CASES[case], *recordings), CONFIG, SILENT)
+    results = check_results(dataset, TrainingInput(robot, PAPER_CASES[case], *recordings), CONFIG, SILENT)
     findings = [finding for result in results.values() for finding in result]
     return [Seen(f.code, f.joint, f.severity, f.evidence, f.recording) for f in findings]
 

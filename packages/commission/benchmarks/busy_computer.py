@@ -34,7 +34,7 @@ from made_bundles import pushed, watching_bundle
 from reaction import bundle_with_contacts
 from tauext_commission.live import LiveSink
 from tauext_commission.page import serve
-from tauext_commission.page.door import listening_socket
+from tauext_commission.page.access import listening_socket
 
 from tauext import _core
 from tauext.data.recording import Recording

@@ -42,7 +42,7 @@ from made_live import replay as replayed
 from tauext_commission.connect import as_data, provenance_of, write_arm
 from tauext_commission.folder import CommissionFolder, wall
 from tauext_commission.history import promise_of
-from tauext_commission.keep import KeepSink
+from tauext_commission.motion_recorder import KeepSink
 from tauext_commission.promises import meets
 from tauext_commission.trainer import Trainer
 from tauext_lab.evaluate.comparison import evaluate

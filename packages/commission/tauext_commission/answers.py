@@ -48,7 +48,7 @@ def is_whole(event: dict[str, Any]) -> bool:
     return all(isinstance(event.get(name), int) for name in ("id", "epoch", "t_ns"))
 
 
-class EpisodeKeeper:
+class AlarmJournal:
     """A sink that keeps alarms, the answers to them and their flights in the folder's journal.
 
     Neither the loop nor the page waits for the disk.
@@ -222,10 +222,10 @@ def question(event: dict[str, Any]) -> str:
     return f"alarm {number}: {event.get('sentence')}{details}; answer: `touched {number}` or `nothing {number}`"
 
 
-class Steering:
+class CurrentLoop:
     """The control of whatever loop runs now. An answer comes back once it is on the disk."""
 
-    def __init__(self, keeper: EpisodeKeeper, stop: Callable[[str], None]):
+    def __init__(self, keeper: AlarmJournal, stop: Callable[[str], None]):
         """stop: ends the command, not the loop alone."""
         self._keeper, self.stop = keeper, stop
         self._answering = threading.Lock()

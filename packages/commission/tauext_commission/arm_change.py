@@ -23,7 +23,7 @@ from tauext.progress import WallTimes
 from tauext.train.refit import refit_recordings
 from tauext_commission.connect import load_known
 from tauext_commission.folder import CommissionFolder, Segment, up_to
-from tauext_commission.keep import LEARN_FROM, segments_of_arm
+from tauext_commission.motion_recorder import LEARN_FROM, segments_of_arm
 from tauext_commission.promises import THREADS, base_of, meets
 
 MOST_LEFT = 0.5
@@ -125,7 +125,7 @@ REFIT_FROM, REFIT_WORTH = 0.1, 0.95
 """Change of friction from which a refit is tried, and the ratio of errors below which it is used."""
 
 
-class Days:
+class DayComparison:
     """Refits friction in the morning, and asks a person about changes that are no friction."""
 
     def __init__(self, folder: CommissionFolder):

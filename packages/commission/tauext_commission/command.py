@@ -20,7 +20,7 @@ from tauext.errors import ConfigError, TauextError
 from tauext.progress import in_plain_letters
 
 if TYPE_CHECKING:
-    from tauext_commission.answers import Steering
+    from tauext_commission.answers import CurrentLoop
     from tauext_commission.run import Options
 
 LEAST_DISK_GB, MOST_DISK_GB = 0.1, 1e5
@@ -106,7 +106,7 @@ def repair_folder(out: Path, source: str | None) -> None:
 def with_page(options: Options, port: int) -> Options:
     """With a page on this port of the host; if it is in use, on the next free one."""
     from tauext_commission.page import serve
-    from tauext_commission.page.door import LOOPBACK, listening_socket
+    from tauext_commission.page.access import LOOPBACK, listening_socket
 
     host = options.host
     listening = listening_socket(host, port)
@@ -127,7 +127,7 @@ def say(text: str) -> None:
 
 
 @contextmanager
-def keys() -> Iterator[Callable[[Steering], None]]:
+def keys() -> Iterator[Callable[[CurrentLoop], None]]:
     """Keys of a terminal answer the newest alarm or a question; without a terminal nothing is read."""
     if not sys.stdin or not sys.stdin.isatty():
         yield lambda steering: None
@@ -140,7 +140,7 @@ def keys() -> Iterator[Callable[[Steering], None]]:
     before, ended = termios.tcgetattr(file), threading.Event()
     reading: list[threading.Thread] = []
 
-    def listen(steering: Steering) -> None:
+    def listen(steering: CurrentLoop) -> None:
         def work() -> None:
             while not ended.is_set():
                 if not select.select([file], [], [], 0.2)[0]:
@@ -169,7 +169,7 @@ def keys() -> Iterator[Callable[[Steering], None]]:
             termios.tcsetattr(file, termios.TCSADRAIN, before)
 
 
-def answer(steering: Steering, key: str) -> None:
+def answer(steering: CurrentLoop, key: str) -> None:
     """Give the answer of a key; other keys do nothing."""
     what = KEYS.get(key.lower())
     if what is None:

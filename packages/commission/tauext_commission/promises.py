@@ -36,7 +36,7 @@ from tauext.train.promised_limits import no_freeze
 from tauext.train.suspects import Suspect, find_suspects, suspect_sentences, unusual_sentence
 from tauext_commission.folder import CommissionFolder, Segment, joined, up_to, wall
 from tauext_commission.history import Kept, kept_of
-from tauext_commission.keep import LEARNED, segments_of_arm
+from tauext_commission.motion_recorder import LEARNED, segments_of_arm
 
 THREADS = 1
 """Training must not take cores from the loop."""

@@ -41,7 +41,7 @@ from tauext.monitor.stop_signals import stopped_by_signals
 from tauext.robot.read import movable_joints
 from tauext.robot.write import is_placeholder
 from tauext.sources.open import open_source, robot_file_of
-from tauext_commission.answers import ASKING_S, EpisodeKeeper, Steering, age_s
+from tauext_commission.answers import ASKING_S, AlarmJournal, CurrentLoop, age_s
 from tauext_commission.connect import (
     ARM_FILES,
     another_arm,
@@ -55,9 +55,9 @@ from tauext_commission.connect import (
     write_arm,
 )
 from tauext_commission.folder import CommissionFolder, is_bundle
-from tauext_commission.keep import KeepSink, repaired
 from tauext_commission.lasting import LastingSource
 from tauext_commission.live import LiveSink
+from tauext_commission.motion_recorder import KeepSink, repaired
 from tauext_commission.processes import Child
 from tauext_commission.trainer import run_trainer
 
@@ -107,7 +107,7 @@ class Options:
 
 
 def run(
-    path: Path, text: str, options: Options, echo: Echo, listen: Callable[[Steering], None] = lambda steering: None
+    path: Path, text: str, options: Options, echo: Echo, listen: Callable[[CurrentLoop], None] = lambda steering: None
 ) -> None:
     """Commission the arm of this source until Ctrl-C, SIGTERM or the line `stop`; the folder continues where it was.
 
@@ -202,11 +202,11 @@ class Commission:
         free_sockets(at, folder)
         self._live = LiveSink(at / "live.sock")
         stack.callback(self._live.end)
-        self._keeper = EpisodeKeeper(folder, lambda: self._record.epoch if self._record else 0, self._note)
+        self._keeper = AlarmJournal(folder, lambda: self._record.epoch if self._record else 0, self._note)
         stack.callback(self._keeper.end)
         self._keeper.learn = self._learn
         self._live.alarm = self._keeper.event
-        self.steering = Steering(self._keeper, self.stop)
+        self.steering = CurrentLoop(self._keeper, self.stop)
         self._children: list[Child] = []
         control = ControlSocket(at / "control.sock", self.steering, self._origin)
         stack.callback(control.close)

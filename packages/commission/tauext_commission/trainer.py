@@ -36,10 +36,10 @@ from tauext.progress import SILENT
 from tauext.robot.model_case import chosen_case
 from tauext.train.data_check import check_data
 from tauext.train.limits import limit_findings
-from tauext.train.preparation import Given
+from tauext.train.preparation import TrainingInput
 from tauext.train.stage import accepted_settings, train_on_recordings
 from tauext.train.suspects import search
-from tauext_commission.arm_change import STROKES_S, Days, is_changed
+from tauext_commission.arm_change import STROKES_S, DayComparison, is_changed
 from tauext_commission.connect import (
     HELD,
     Remark,
@@ -52,10 +52,10 @@ from tauext_commission.connect import (
     sentence_of,
     settled,
 )
-from tauext_commission.course import Facts, next_step
 from tauext_commission.folder import CommissionFolder, Segment, up_to, wall
-from tauext_commission.keep import motion_s, segments_of_arm
+from tauext_commission.motion_recorder import motion_s, segments_of_arm
 from tauext_commission.promises import MOST_TEST_S, THREADS, Promises, meets, put_suspects
+from tauext_commission.schedule import Facts, next_step
 
 RIPPLES_FROM_MIN = 8
 """Motion from which ripples are fitted, [min]; less has too few turns, and their search takes most of a training."""
@@ -75,7 +75,7 @@ class Trainer:
     def __init__(self, folder: CommissionFolder):
         self.folder = folder
         self._checked_s = 0.0
-        self.days, self.promises = Days(folder), Promises(folder, self._judged)
+        self.days, self.promises = DayComparison(folder), Promises(folder, self._judged)
         self._repair()
 
     def _repair(self) -> None:
@@ -232,7 +232,7 @@ class Trainer:
                 raise ConfigError("no training motion is left")
             size = sum(one.samples for one in recordings) * len(recordings[0].joints) * BYTES_A_VALUE
             expect_memory(size, f"training on {minutes:g} min")
-            given = Given(robot, PAPER_CASES[case], recordings, labels=folder.labels())
+            given = TrainingInput(robot, PAPER_CASES[case], recordings, labels=folder.labels())
             given, checked = self._checked(given, config)
             put_suspects(folder, train_on_recordings(given, config, out, SILENT, checked), out.stem)
         except TauextError as error:
@@ -253,7 +253,7 @@ class Trainer:
             for path in folder.bundles.glob(f"{replaced}.*"):
                 path.unlink(missing_ok=True)
 
-    def _checked(self, given: Given, config: TrainConfig) -> tuple[Given, dict[str, Any]]:
+    def _checked(self, given: TrainingInput, config: TrainConfig) -> tuple[TrainingInput, dict[str, Any]]:
         """Input of a training without recordings that have faults of their own, and the facts of the check.
 
         Raises:

@@ -9,7 +9,7 @@ from unittest import mock
 from zlib import crc32
 
 from tauext_commission.folder import CommissionFolder
-from tauext_commission.keep import KeepSink
+from tauext_commission.motion_recorder import KeepSink
 from tauext_lab.sim.arms import rig_arm
 
 from tauext.bundle.history_file import read_question

@@ -18,7 +18,7 @@ from unittest import mock
 import numpy as np
 from made_bundles import JOINTS, pushed, watching_bundle
 from tauext_commission.folder import CommissionFolder
-from tauext_commission.keep import KeepSink
+from tauext_commission.motion_recorder import KeepSink
 from tauext_commission.promises import CalibrationPeaks
 from tauext_commission.run import Commission, Options, run
 from tauext_commission.trainer import Trainer

@@ -17,7 +17,7 @@ from tauext.bundle.bundle_file import load_bundle
 from tauext.config import PAPER_CASES, PriorConfig, TrainConfig
 from tauext.data.recording import Recording
 from tauext.robot.model_case import chosen_case
-from tauext.train.preparation import Given
+from tauext.train.preparation import TrainingInput
 from tauext.train.stage import accepted_settings, train_on_recordings
 
 WHY = "no reason"
@@ -35,7 +35,7 @@ def moved(arm: GearedArm, seconds: float, seed: int, load_kg: float = 0.0) -> Re
 def trained(arm: GearedArm, load_kg: float, path: Path) -> _core.Bundle:
     (path / "robot.xml").write_text(arm.xml)
     config = accepted_settings(TrainConfig(recipe="prior", threads=1, prior=PriorConfig(most_ripples=0)), ())
-    given = Given(
+    given = TrainingInput(
         path / "robot.xml", PAPER_CASES[chosen_case(None, path / "robot.xml")[0]], [moved(arm, 60.0, 1, load_kg)]
     )
     train_on_recordings(given, config, path / "arm.tauext")

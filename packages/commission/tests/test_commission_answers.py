@@ -20,10 +20,10 @@ import pytest
 from made_bundles import JOINTS, pushed, watching_bundle
 from made_commission import words
 from made_live import ScriptedSource, samples_of
-from tauext_commission.answers import EpisodeKeeper, Steering
+from tauext_commission.answers import AlarmJournal, CurrentLoop
 from tauext_commission.folder import CommissionFolder
-from tauext_commission.keep import KeepSink
 from tauext_commission.live import MOST_READERS, PAST_EVERY, Curves, LiveSink
+from tauext_commission.motion_recorder import KeepSink
 from tauext_commission.processes import Child
 from tauext_commission.promises import put_suspects
 from tauext_commission.run import AGAIN_S, Commission
@@ -66,7 +66,7 @@ class Arm:
         samples = samples_of(recording or pushed())
         source = ScriptedSource([*samples[:pause], self.go_on.is_set, *samples[pause:]])
         self.record = KeepSink(self.folder, settings, "script", 1e9)
-        self.keeper = EpisodeKeeper(self.folder, lambda: self.record.epoch, self.notes.append)
+        self.keeper = AlarmJournal(self.folder, lambda: self.record.epoch, self.notes.append)
         self.live = LiveSink(path / "live.sock")
         self.live.alarm = self.keeper.event
         self.live.describe(settings.joints, settings.torque_units)
@@ -74,7 +74,7 @@ class Arm:
         self.loop.monitor.alarms = self.keeper.newest
         for sink in (self.keeper, self.live):
             sink.follow(self.bundle, self.loop.monitor)
-        self.steering = Steering(self.keeper, self.loop.stop)
+        self.steering = CurrentLoop(self.keeper, self.loop.stop)
         self.steering.loop = self.loop
         self._thread = threading.Thread(target=self.loop.run, daemon=True)
         self._thread.start()
@@ -277,7 +277,7 @@ def test_an_answer_is_known_to_the_next_process(tmp_path):
     folder = CommissionFolder.open(tmp_path / "cell", create=True)
     folder.append_event({"id": 1, "epoch": 1, "t_ns": 1, "level": "collision", "answer": None})
     folder.append_label(Label(1, 1, 1, 2, "nothing", "page", "", "b0001"))
-    keeper = EpisodeKeeper(folder, lambda: 1, print)
+    keeper = AlarmJournal(folder, lambda: 1, print)
     keeper.end()
     assert keeper.event(1)["answer"] == "nothing" and keeper.unanswered is None
     assert [one["answer"] for one in read_events(folder.path)] == ["nothing"]
@@ -287,7 +287,7 @@ def test_a_flight_belongs_to_its_alarm_by_number(tmp_path):
     folder = CommissionFolder.open(tmp_path / "cell", create=True)
     for number in (1, 2):
         folder.append_event({"id": number, "epoch": 1, "t_ns": 5, "held_ns": 9, "level": "collision"})
-    keeper = EpisodeKeeper(folder, lambda: 1, print)
+    keeper = AlarmJournal(folder, lambda: 1, print)
     for number, name in ((1, "one"), (3, "no such alarm"), (0, "fault")):
         keeper.flown(FlightNews("collision", 7, tmp_path / f"{name}.parquet", None, number))
     keeper.flown(FlightNews("collision", 7, None, "a full disk", 2))
@@ -300,7 +300,7 @@ def test_a_flight_belongs_to_its_alarm_by_number(tmp_path):
 
 def test_an_event_that_cannot_be_written_ends_no_thread(tmp_path):
     folder, notes = CommissionFolder.open(tmp_path / "cell", create=True), []
-    keeper = EpisodeKeeper(folder, lambda: 1, notes.append)
+    keeper = AlarmJournal(folder, lambda: 1, notes.append)
     keeper.open(("a",), None)
     for number, bundle in ((1, float("nan")), (2, "b0001")):
         keeper.learned(Episode(number, CONTACT, 0, bundle, 7, 8, 2.0, 1.0))
@@ -396,8 +396,8 @@ def test_a_reader_that_takes_no_line_is_closed(tmp_path, monkeypatch):
 
 def test_control_is_refused_while_no_arm_is_connected(tmp_path):
     stopped: list[str] = []
-    keeper = EpisodeKeeper(CommissionFolder(tmp_path), lambda: 0, print)
-    steering = Steering(keeper, stopped.append)
+    keeper = AlarmJournal(CommissionFolder(tmp_path), lambda: 0, print)
+    steering = CurrentLoop(keeper, stopped.append)
     for line in ("touched", "nothing 1", "learn yes", "acknowledge", "sim push"):
         assert obey(line, steering, "test").startswith("error: "), line
     with pytest.raises(ConfigError, match="no arm is connected"):

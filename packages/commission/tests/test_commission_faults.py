@@ -22,7 +22,7 @@ from tauext_commission import history
 from tauext_commission.connect import restore_arm
 from tauext_commission.folder import CommissionFolder, Segment
 from tauext_commission.history import arm_row, describe_folder
-from tauext_commission.keep import repaired, trim_damaged
+from tauext_commission.motion_recorder import repaired, trim_damaged
 from tauext_commission.run import free_sockets
 from tauext_commission.trainer import Trainer
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from made_live_page import JOINTS, FakeLoop, line, serving, write_folder
 from tauext_commission.page import connections, live_server
-from tauext_commission.page.door import is_own_name, listening_socket
+from tauext_commission.page.access import is_own_name, listening_socket
 from tauext_commission.page.live_arm import arm_facts
 from tauext_commission.page.live_server import line_of
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -257,7 +257,7 @@ def test_a_refusal_and_a_loop_that_is_gone_are_reported(tmp_path):
         assert status == 409 and b"the loop does not answer" in content
 
 
-# --- The door.
+# --- Who may connect.
 
 
 def test_only_its_own_page_may_send(page):
@@ -326,7 +326,7 @@ def test_a_busy_port_is_passed_over(monkeypatch):
             listening_socket("127.0.0.1", port) as another,
         ):
             assert port < found.getsockname()[1] < another.getsockname()[1]
-        monkeypatch.setattr("tauext_commission.page.door.PORTS", 1)
+        monkeypatch.setattr("tauext_commission.page.access.PORTS", 1)
         with pytest.raises(ConfigError, match=f"port = {port}: .* in use; choose another with --port"):
             listening_socket("127.0.0.1", port)
     with pytest.raises(ConfigError, match="port = 0 must be 1 to 65535"):

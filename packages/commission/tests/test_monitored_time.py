@@ -12,7 +12,7 @@ from made_live import Clock, Keeper, ScriptedSource, samples_of
 from tauext_commission.connect import held_rate
 from tauext_commission.folder import CommissionFolder
 from tauext_commission.history import Kept, describe_folder, kept_of
-from tauext_commission.keep import KeepSink
+from tauext_commission.motion_recorder import KeepSink
 
 from tauext import _core
 from tauext.bundle.estimates import OK

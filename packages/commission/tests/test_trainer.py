@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from made_commission import active, add_event, cut_journal, filled, question, words
-from tauext_commission import arm_change, course, keep, promises, trainer
+from tauext_commission import arm_change, motion_recorder, promises, schedule, trainer
 from tauext_commission.arm_change import named_steps
 from tauext_commission.connect import HELD, Remark, as_entries
 from tauext_commission.folder import CommissionFolder
@@ -35,7 +35,7 @@ from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import cut
 from tauext.data.labels import Label, read_labels
 from tauext.errors import ConfigError, FaultyDataError
-from tauext.train.preparation import Given
+from tauext.train.preparation import TrainingInput
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -126,7 +126,7 @@ def test_kill_9_during_a_training_costs_that_training_alone(copy):
 
 @pytest.mark.slow
 def test_motion_without_the_next_minutes_waits_and_faults_are_reported(copy, motion, monkeypatch):
-    monkeypatch.setattr(arm_change.Days, "strokes", lambda *_: [])
+    monkeypatch.setattr(arm_change.DayComparison, "strokes", lambda *_: [])
     assert Trainer(copy).step() == "train"  # two minutes are there
     pending = json.loads(copy.pending_file.read_text())
     assert pending["minutes"] == 2 and len(pending["trained_on"]) == 11
@@ -168,11 +168,11 @@ def test_a_bundle_that_rejects_or_alarms_does_not_monitor(copy, monkeypatch):
 def quick(monkeypatch):
     """Limits from minutes of calibration."""
     monkeypatch.setattr(promises, "SPARE_S", 0.0)
-    monkeypatch.setattr(arm_change.Days, "strokes", lambda *_: [])
-    monkeypatch.setattr(course, "LEARN_S", 30.0)
-    monkeypatch.setattr(course, "LIMITS_AT_H", (0.01, 0.02))
-    monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
-    monkeypatch.setattr(keep, "TRAIN_S", 90.0)
+    monkeypatch.setattr(arm_change.DayComparison, "strokes", lambda *_: [])
+    monkeypatch.setattr(schedule, "LEARN_S", 30.0)
+    monkeypatch.setattr(schedule, "LIMITS_AT_H", (0.01, 0.02))
+    monkeypatch.setattr(schedule, "SCHEDULE_MIN", (1,))
+    monkeypatch.setattr(motion_recorder, "TRAIN_S", 90.0)
 
 
 @pytest.mark.slow
@@ -191,7 +191,7 @@ def test_limits_follow_from_calibration_and_grow_with_it(copy, motion, quick):
     for segment in copy.segments():
         if segment.set == "calibration":
             (copy.path / segment.name).unlink()
-    assert keep.learned_up_to(copy) == one.promises.calibration().learned > 0
+    assert motion_recorder.learned_up_to(copy) == one.promises.calibration().learned > 0
     again = Trainer(copy)
     assert again.promises.calibration().hours == hours and again.promises.calibration().base == "b0001"
 
@@ -322,7 +322,7 @@ def another_day(factor: float = 1.0, ball_kg: float = 0.0):
 
 @pytest.mark.slow
 def test_a_cold_morning_is_refitted_without_a_question(copy, motion, monkeypatch):
-    monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
+    monkeypatch.setattr(schedule, "SCHEDULE_MIN", (1,))
     Trainer(copy).step()  # the second epoch of the fixture
     day, earlier = another_day(1.35), copy.segments()[-1].number
     filled(copy.path, [cut(day, slice(0, 62_000))])
@@ -367,7 +367,7 @@ def test_a_bundle_that_was_judged_before_a_kill_is_not_judged_again(copy):
 
 @pytest.mark.slow
 def test_first_strokes_with_a_long_touch_ask_nothing(copy, monkeypatch):
-    monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
+    monkeypatch.setattr(schedule, "SCHEDULE_MIN", (1,))
     Trainer(copy).step()
     filled(copy.path, [cut(another_day(), slice(0, 62_000))])
     copy.append_label(Label(1, copy.facts["epoch"], 0, 58_000_000_000, "touched", "page", "", "b0001"))
@@ -378,7 +378,7 @@ def test_first_strokes_with_a_long_touch_ask_nothing(copy, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("answer", ["learn", "leave"])
 def test_a_step_between_days_is_named_and_waits_for_an_answer(copy, motion, monkeypatch, answer):
-    monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
+    monkeypatch.setattr(schedule, "SCHEDULE_MIN", (1,))
     Trainer(copy).step()
     filled(copy.path, [another_day(ball_kg=1.5)])
     epoch = copy.facts["epoch"]  # the alarm stands for the whole time, and its motion is left out of a refit
@@ -406,8 +406,8 @@ def test_a_step_between_days_is_named_and_waits_for_an_answer(copy, motion, monk
 @pytest.mark.slow
 def test_an_arm_that_changes_at_work_is_compared_once_alarms_do_not_end(copy, motion, monkeypatch):
     """No pause precedes the other tool. Early bundles, touches, and a change that is not learned ask nothing."""
-    monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
-    monkeypatch.setattr(course, "CHECKS_S", ())
+    monkeypatch.setattr(schedule, "SCHEDULE_MIN", (1,))
+    monkeypatch.setattr(schedule, "CHECKS_S", ())
     bare, heavy = cut(motion, slice(130_000, 200_000)), another_day(ball_kg=1.5)
     heavy = replace(heavy, t_ns=heavy.t_ns + bare.t_ns[-1] + 1_000_000)
     joined = {
@@ -456,7 +456,7 @@ def test_a_training_that_finds_no_space_is_tried_again(copy, monkeypatch):
 
 @pytest.mark.slow
 def test_a_load_that_friction_could_explain_is_named_all_the_same(copy, monkeypatch):
-    monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
+    monkeypatch.setattr(schedule, "SCHEDULE_MIN", (1,))
     Trainer(copy).step()
     filled(copy.path, [another_day(ball_kg=0.3)])
     assert Trainer(copy).step() == "morning"
@@ -466,7 +466,7 @@ def test_a_load_that_friction_could_explain_is_named_all_the_same(copy, monkeypa
 
 @pytest.mark.slow
 def test_another_friction_alone_names_no_load(copy, motion, monkeypatch):
-    monkeypatch.setattr(course, "SCHEDULE_MIN", (1,))
+    monkeypatch.setattr(schedule, "SCHEDULE_MIN", (1,))
     Trainer(copy).step()
     filled(copy.path, [another_day(2.2)])
     assert Trainer(copy).step() == "morning"
@@ -496,7 +496,7 @@ def test_a_recording_with_a_fault_of_its_own_is_left_out_of_training(tmp_path, m
     assert (folder.bundles / "b0001.tauext").is_file(), words(folder)
     assert any(line.startswith("left out of training for faults: seg-000001 (spike)") for line in words(folder))
     filled(folder.path, [replace(cut(motion, slice(0, 60_000)), tau=-cut(motion, slice(0, 60_000)).tau)])
-    given = Given(folder.path / "robot.xml", PAPER_CASES["exact"], folder.load(folder.segments()[-6:]))
+    given = TrainingInput(folder.path / "robot.xml", PAPER_CASES["exact"], folder.load(folder.segments()[-6:]))
     with pytest.raises(FaultyDataError):  # of all its motion
         one._checked(given, one._config(1))
 

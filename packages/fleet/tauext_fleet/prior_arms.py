@@ -19,7 +19,7 @@ from tauext.robot.model_case import chosen_case
 from tauext.train.data_check import check_data
 from tauext.train.fitting import fit_prior, observe
 from tauext.train.network import choose_gain
-from tauext.train.preparation import NOTHING, Given, Job, Start, prepare
+from tauext.train.preparation import NOTHING, Job, Start, TrainingInput, prepare
 from tauext_fleet.fleet_prior import ArmType
 from tauext_fleet.like import arm_type
 
@@ -117,7 +117,7 @@ def job_of(
     if model.no_model:
         raise ConfigError(f"{arm.data}: it has no model, and a fleet prior holds corrections of one; import with one")
     training = dataset.training()
-    given = Given(robot, model, training, start=start)
+    given = TrainingInput(robot, model, training, start=start)
     if accept is not None:
         check_data(dataset, given, config, accept, report)
     config = replace(start.settings(config), minutes=minutes)

@@ -14,7 +14,7 @@ from tauext.data.recording import Recording
 from tauext.fit.bundle_writing import error_memory_s
 from tauext.fit.regression import NormalEquations, Regression
 from tauext.fit.ridge import Regressors, gather, solved
-from tauext.fit.ties import simplest
+from tauext.fit.stable_choice import simplest
 from tauext.fit.training_set import with_presliding
 from tauext.train.error_scale import ErrorRows, Judged, collect_rows, scale_of
 from tauext.train.fitting import fit_prior, observe, put_prior, with_fit

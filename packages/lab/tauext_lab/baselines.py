@@ -13,7 +13,7 @@ from tauext.progress import SILENT, Reporter
 from tauext.recipes import baselines, recipe_of
 from tauext.robot.model_case import chosen_case
 from tauext.train.data_check import check_data
-from tauext.train.preparation import Given, finished, why_impossible
+from tauext.train.preparation import TrainingInput, finished, why_impossible
 from tauext.train.stage import train_on_recordings
 
 
@@ -79,7 +79,7 @@ def train_baselines(
             missing[name] = config
     if missing:
         training, validation = dataset.training(), dataset.recordings("validation")
-        given = Given(robot_file, case, training, validation, calibration)
+        given = TrainingInput(robot_file, case, training, validation, calibration)
         # One check for all: none of them uses more data than promised limits.
         checked = check_data(dataset, given, TrainConfig(seed=seed, threads=threads), accept, report)
         # A baseline is compared whatever its limits are: their findings are in the bundle.

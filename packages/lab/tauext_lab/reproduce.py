@@ -133,7 +133,7 @@ def train_missing(
 ) -> None:
     """Read and check the data, then train all of these at the same time."""
     from tauext.train.data_check import check_data
-    from tauext.train.preparation import Given
+    from tauext.train.preparation import TrainingInput
     from tauext.train.stage import train_on_recordings
 
     robot = dataset.robot_file(None)
@@ -143,7 +143,7 @@ def train_missing(
     kinds = {case.no_model: (case, config) for case, config in jobs.values()}
     with times.phase("check"):
         checked = {
-            no_model: check_data(dataset, Given(robot, case, training, validation), config, (), report)
+            no_model: check_data(dataset, TrainingInput(robot, case, training, validation), config, (), report)
             for no_model, (case, config) in kinds.items()
         }
     cores = os.cpu_count() or 1
@@ -151,7 +151,7 @@ def train_missing(
 
     def train(name: str, report: Reporter) -> None:
         case, config = jobs[name]
-        given = Given(robot, case, training, validation)
+        given = TrainingInput(robot, case, training, validation)
         settings, found = replace(config, threads=threads), checked[case.no_model]
         train_on_recordings(given, settings, bundles[name], report=report, checked=found)
 

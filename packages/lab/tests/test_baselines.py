@@ -21,7 +21,7 @@ from tauext.fit.tail import FalseAlarmBudget, Promise
 from tauext.progress import Silent
 from tauext.recipes import RECIPES, baselines
 from tauext.robot.model_case import estimated_model
-from tauext.train.preparation import Given, finished, training_settings
+from tauext.train.preparation import TrainingInput, finished, training_settings
 from tauext.train.stage import train_on_recordings
 
 EXACT = PAPER_CASES["exact"]
@@ -45,7 +45,9 @@ def trained(dataset, out: Path, case="exact", **settings) -> _core.Bundle:
     robot = dataset.robot_file(None)
     training, validation = dataset.recordings("train"), dataset.recordings("validation")
     tree = estimated_model(robot, training[0].joints, PAPER_CASES[case])
-    train_on_recordings(Given(robot, PAPER_CASES[case], training, validation, model=tree), TrainConfig(**settings), out)
+    train_on_recordings(
+        TrainingInput(robot, PAPER_CASES[case], training, validation, model=tree), TrainConfig(**settings), out
+    )
     return _core.Bundle.load(str(out))
 
 
@@ -118,7 +120,7 @@ def test_two_minutes_are_enough_for_the_whole_recipe(tmp_path):
 
     robot.write_text(arm_xml(RigConfig()))
     config = TrainConfig(recipe="tauext", minutes=2.0, max_steps=50, batch=8)
-    train_on_recordings(Given(robot, EXACT, made[:3], made[3:]), config, out)
+    train_on_recordings(TrainingInput(robot, EXACT, made[:3], made[3:]), config, out)
     bundle = _core.Bundle.load(str(out))
     facts, run = json.loads(bundle.provenance), json.loads(out.with_suffix(".run.json").read_text())
     assert facts["training_minutes"] == run["training_minutes"] == 2.0
@@ -155,7 +157,7 @@ def test_calibrate_gives_a_bundle_the_limits_that_training_would_and_changes_not
     robot, training = dataset.robot_file(None), dataset.recordings("train")
     promised = tmp_path / "trained" / "bundle.tauext"
     train_on_recordings(
-        Given(robot, EXACT, training, dataset.recordings("validation"), dataset.loaders("calibration")),
+        TrainingInput(robot, EXACT, training, dataset.recordings("validation"), dataset.loaders("calibration")),
         TrainConfig(**options, limits="promised"),
         promised,
     )

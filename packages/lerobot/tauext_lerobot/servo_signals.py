@@ -22,7 +22,7 @@ from tauext.errors import TauextError
 from tauext.progress import SILENT
 from tauext.train.fitting import observe, with_fit
 from tauext.train.network import assemble
-from tauext.train.preparation import Given, Job, prepare
+from tauext.train.preparation import Job, TrainingInput, prepare
 from tauext.train.stage import complete, fit_with_gain
 
 # --- Limits by each signal, and what a person reads of them.
@@ -170,7 +170,7 @@ def made_from(recording: Recording, source: str) -> Recording:
 # --- The comparison, after a training.
 
 
-def compare_signals(job: Job, bundle: Bundle, given: Given) -> None:
+def compare_signals(job: Job, bundle: Bundle, given: TrainingInput) -> None:
     """Note which signal of servos keeps the promise best, if limits of this training do not keep it in left-out motion.
 
     Each other signal that all recordings hold is trained with, and its limits are found and tested in the same way.
@@ -203,7 +203,7 @@ def compare_signals(job: Job, bundle: Bundle, given: Given) -> None:
     job.notes.append(words)
 
 
-def limits_by(source: str, given: Given, job: Job) -> SignalLimits | None:
+def limits_by(source: str, given: TrainingInput, job: Job) -> SignalLimits | None:
     """Limits of a training on these recordings with the torque from this signal, by the settings of a job."""
     training, validation = ([made_from(one, source) for one in some] for some in (given.training, given.validation))
     other = replace(given, training=training, validation=validation)

@@ -147,12 +147,12 @@ def print_findings(dataset: Dataset, training: Sequence[Recording]) -> None:
     from tauext.config import PAPER_CASES, TrainConfig
     from tauext.robot.model_case import chosen_case
     from tauext.train.data_check import check_results
-    from tauext.train.preparation import Given
+    from tauext.train.preparation import TrainingInput
 
     out, terminal = dataset.folder, Terminal()
     robot = dataset.robot_file(None)
     case = PAPER_CASES[chosen_case(None, robot)[0]]
-    given = Given(robot, case, training, dataset.recordings("validation"))
+    given = TrainingInput(robot, case, training, dataset.recordings("validation"))
     results = check_results(dataset, given, TrainConfig(), terminal)
     findings = [finding for result in results.values() for finding in result]
     for entry in entries(finding for finding in findings if finding.severity == "warning"):

@@ -13,7 +13,7 @@ from tauext.data.free_motion import between
 from tauext.data.recording import FLAGS, OPTIONAL_SIGNALS, Recording
 from tauext.fit.links import FIRST_MOMENT, LARGEST, LARGEST_SPREAD, MASS, ROTOR, observed
 from tauext.fit.regression import FOLDS, NormalEquations, Regression
-from tauext.fit.ties import ranked, simplest
+from tauext.fit.stable_choice import ranked, simplest
 from tauext.fit.training_set import Setup
 from tauext.robot.inertial import PARAMETERS, with_inertial_parameters
 

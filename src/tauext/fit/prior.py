@@ -17,8 +17,8 @@ from tauext.fit.find_kinematics import LEAST_ROWS, Kinematics, KinematicSample, 
 from tauext.fit.prior_terms import CORRECTED, ESTIMATED, Kind, PriorFit, has_model, idle_widths, own_terms, shared_terms
 from tauext.fit.regression import LEAST_SQUARE
 from tauext.fit.ridge import Regressors, fit_ridge
+from tauext.fit.stable_choice import simplest
 from tauext.fit.temperature import with_temperature
-from tauext.fit.ties import simplest
 from tauext.fit.training_set import Setup, with_presliding
 
 # --- Textbook friction, the baseline of the prior.

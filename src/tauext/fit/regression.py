@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tauext.fit.ties import simplest
+from tauext.fit.stable_choice import simplest
 
 # --- Positive definite matrices: inverses that stay positive definite, and minima within bounds on some unknowns.
 

@@ -23,7 +23,7 @@ from tauext.fit.find_kinematics import (
     find_kinematics,
 )
 from tauext.fit.prior_terms import has_model, own_terms
-from tauext.fit.ties import simplest
+from tauext.fit.stable_choice import simplest
 from tauext.fit.training_set import Setup, with_presliding
 from tauext.robot.inertial import PARAMETERS, inertial_parameters
 from tauext.robot.model_case import empty

@@ -12,10 +12,12 @@ from tauext.data.servo import in_amperes
 from tauext.progress import Reporter
 from tauext.robot.torque_limits import torque_limits
 from tauext.train.limits import limits_kind
-from tauext.train.preparation import Given, chosen_recordings, wants_constants
+from tauext.train.preparation import TrainingInput, chosen_recordings, wants_constants
 
 
-def check_data(dataset: Dataset, given: Given, config: TrainConfig, accept: Sequence[str], report: Reporter) -> dict:
+def check_data(
+    dataset: Dataset, given: TrainingInput, config: TrainConfig, accept: Sequence[str], report: Reporter
+) -> dict:
     """Check all data of a training; returns accepted faults and warnings as facts for provenance.
 
     Args:
@@ -32,7 +34,9 @@ def check_data(dataset: Dataset, given: Given, config: TrainConfig, accept: Sequ
     return refuse_faults(results, str(dataset.folder), accept, report)
 
 
-def check_results(dataset: Dataset, given: Given, config: TrainConfig, report: Reporter) -> dict[str, list[Finding]]:
+def check_results(
+    dataset: Dataset, given: TrainingInput, config: TrainConfig, report: Reporter
+) -> dict[str, list[Finding]]:
     """Findings in the recordings for training and for limits.
 
     Without a model nothing is compared with the robot file: the training does not use it.

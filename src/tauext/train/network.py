@@ -12,7 +12,7 @@ from tauext.config import PAPER_GAIN_PER_S
 from tauext.fit.bundle_writing import make_bundle, set_signal_ranges
 from tauext.fit.network_training import Progress, ScaledNetwork, train_network
 from tauext.fit.prior_terms import PriorFit
-from tauext.fit.ties import simplest
+from tauext.fit.stable_choice import simplest
 from tauext.fit.training_set import Setup, TooShort, build_windows, find_scaling
 from tauext.train.error_scale import collect_rows, largest_standardised
 from tauext.train.fitting import observe, put_region, with_fit

@@ -457,7 +457,7 @@ NOTHING = Start()
 
 
 @dataclass(frozen=True)
-class Given:
+class TrainingInput:
     """Input of a training: the arm's recordings and its estimated model."""
 
     robot: Path
@@ -564,7 +564,7 @@ class Job:
         self.report.say(f"{self.name}: {sentence}")
 
 
-def prepare(given: Given, config: TrainConfig, out: Path, report: Reporter) -> Job:
+def prepare(given: TrainingInput, config: TrainConfig, out: Path, report: Reporter) -> Job:
     """Cut to the chosen minutes, leave out impossible samples and contacts, and find torque constants.
 
     See train_on_recordings for the arguments.

@@ -24,8 +24,8 @@ from tauext.data.recording import Recording
 from tauext.files.checkpoint import Checkpoint
 from tauext.files.provenance import VERSION
 from tauext.fit.limits_together import ShareConfig, TailCurve, rates_together
+from tauext.fit.stable_choice import simplest
 from tauext.fit.tail import FalseAlarmBudget, Promise, Tail, TailConfig, TooFewPeaks, duration, fit_tail, upper_rate
-from tauext.fit.ties import simplest
 from tauext.train.held_peaks import REGIONS, Moment, Peaks, carrying_moments, collect_peaks
 from tauext.train.hits import hits
 from tauext.train.paper_limits import LimitMotion, Loaders, set_limits

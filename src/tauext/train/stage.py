@@ -39,7 +39,7 @@ from tauext.train.fitting import (
 from tauext.train.limits import limits_kind, put_limits, refuse_limits
 from tauext.train.load_frame import put_load
 from tauext.train.network import assemble, choose_gain, fit_network
-from tauext.train.preparation import NOTHING, Given, Job, Start, prepare
+from tauext.train.preparation import NOTHING, Job, Start, TrainingInput, prepare
 from tauext.train.suspects import (
     Suspect,
     are_same,
@@ -181,7 +181,7 @@ def train_bundle(
     calibration = dataset.stretches("calibration")
     expect_journal(dataset.folder)
     labels = read_labels(dataset.folder)
-    given = Given(
+    given = TrainingInput(
         robot_file, PAPER_CASES[case], training, validation, calibration, start=start, meshes=meshes, labels=labels
     )
     checked = None
@@ -193,7 +193,7 @@ def train_bundle(
 
 
 def train_on_recordings(
-    given: Given,
+    given: TrainingInput,
     config: TrainConfig,
     out: Path,
     report: Reporter = SILENT,
@@ -268,7 +268,7 @@ def train_on_recordings(
 
 
 def fitted(
-    given: Given, config: TrainConfig, out: Path, report: Reporter, times: WallTimes
+    given: TrainingInput, config: TrainConfig, out: Path, report: Reporter, times: WallTimes
 ) -> tuple[Job, Setup, PriorFit | None]:
     """The prepared job, its setup without the prior, and the prior; see train_on_recordings."""
     with times.phase("prepare"):
@@ -297,7 +297,7 @@ def training_suspects(
     Args:
         setup: without the prior.
         recordings: without impossible samples, suspects included.
-        labels: see Given.
+        labels: see TrainingInput.
     """
     if fit is None or not any(map(is_unreported, recordings)):
         return []
@@ -319,7 +319,7 @@ def fit_with_gain(job: Job, setup: Setup) -> tuple[Setup, PriorFit | None]:
     return choose_gain(job, setup, fit)
 
 
-def compare_signals(job: Job, bundle: Bundle, given: Given) -> None:
+def compare_signals(job: Job, bundle: Bundle, given: TrainingInput) -> None:
     """Note which signal of servos keeps the promise best, or which package compares them.
 
     Args:
@@ -335,7 +335,7 @@ def compare_signals(job: Job, bundle: Bundle, given: Given) -> None:
     compare(job, bundle, given)
 
 
-def complete(job: Job, bundle: Bundle, given: Given, setup: Setup, fit: PriorFit | None) -> None:
+def complete(job: Job, bundle: Bundle, given: TrainingInput, setup: Setup, fit: PriorFit | None) -> None:
     """Complete a fitted bundle: limits, drift, load and forces; each step depends on those before.
 
     Args:

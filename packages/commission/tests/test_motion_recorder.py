@@ -11,10 +11,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from tauext_commission import folder as folder_module
-from tauext_commission import keep
-from tauext_commission.answers import EpisodeKeeper
+from tauext_commission import motion_recorder
+from tauext_commission.answers import AlarmJournal
 from tauext_commission.folder import CommissionFolder, Segment, split_of
-from tauext_commission.keep import Coverage, KeepSink, learned_up_to, repaired, set_of, to_drop, trim_flights
+from tauext_commission.motion_recorder import Coverage, KeepSink, learned_up_to, repaired, set_of, to_drop, trim_flights
 
 from tauext.bundle.estimates import COLLISION
 from tauext.bundle.history_file import watches
@@ -59,7 +59,7 @@ class Script:
         self.sink = KeepSink(self.folder, ARM, "test", budget, lambda: "b0001")
         self.sink.worker.patient = True
         self.notes: list[str] = []
-        self.keeper = EpisodeKeeper(self.folder, lambda: self.sink.epoch, self.notes.append)
+        self.keeper = AlarmJournal(self.folder, lambda: self.sink.epoch, self.notes.append)
         self.made.append(self)
         self.changes, self.episodes = ChangeFinder(), EpisodeFinder("b0001")
         for sink in (self.sink, self.keeper):
@@ -269,8 +269,8 @@ def test_labels_beyond_the_bound_do_not_break_it():
 def test_dropping_is_safe_at_every_point(tmp_path, monkeypatch):
     """Killed between any two writings: the folder is a dataset, and no set has changed."""
     script = Script(tmp_path / "cell", budget=2e5)
-    monkeypatch.setattr(keep, "FRESH_S", 20.0)
-    real = {"unlink": Path.unlink, "write": keep.write_synced}
+    monkeypatch.setattr(motion_recorder, "FRESH_S", 20.0)
+    real = {"unlink": Path.unlink, "write": motion_recorder.write_synced}
 
     class Killed(BaseException):
         pass
@@ -341,7 +341,7 @@ def test_a_clock_that_is_set_back_costs_no_part_of_a_label(tmp_path):
 
 
 def test_a_full_disk_while_recordings_are_dropped_leaves_none_uncounted(tmp_path, monkeypatch):
-    monkeypatch.setattr(keep, "FRESH_S", 0.0)
+    monkeypatch.setattr(motion_recorder, "FRESH_S", 0.0)
     script = Script(tmp_path / "cell", budget=1e9).go(65)
 
     def full(*_):

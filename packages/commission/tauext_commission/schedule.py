@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from tauext_commission.keep import SCHEDULE_MIN
+from tauext_commission.motion_recorder import SCHEDULE_MIN
 
 LEAST_TEST_S = 60.0
 """Motion outside of its training that judges a bundle, [s]."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from tauext_commission.course import Facts, next_limits_h, next_step
+from tauext_commission.schedule import Facts, next_limits_h, next_step
 
 BUNDLE = {"has_bundle": True, "seconds": 7000.0, "checked_s": 7000.0, "promised_s": 6000.0}
 

@@ -15,7 +15,7 @@ from tauext.fit.find_kinematics import BEAM, Kinematics, KinematicSample, direct
 from tauext.fit.prior import fit_prior
 from tauext.fit.prior_terms import encoder_count, own_terms
 from tauext.fit.regression import RIDGES, NormalEquations, Regression
-from tauext.fit.ties import ranked, simplest
+from tauext.fit.stable_choice import ranked, simplest
 
 MIRROR = np.diag([1.0, -1.0, 1.0])
 NOISE = 1e-13

@@ -125,7 +125,11 @@ def install_packages(version: str, folder: Path, settings: dict[str, str]) -> No
         "from importlib.metadata import entry_points\n"
         f"for group, name in {points!r}:\n"
         "    (point,) = entry_points(group=group, name=name)\n"
-        "    point.load()\n"
+        "    try:\n"
+        "        point.load()\n"
+        "    except Exception as error:\n"
+        "        if 'pip install' not in str(error):  # of a library that only this part needs\n"
+        "            raise\n"
     )
     names = ", ".join(name for _, name in points)
     timed(version, f"entry points {names}", [folder / "venv/bin/python", "-c", load], folder, settings)

@@ -19,6 +19,7 @@ import numpy as np
 from common import ROOT, arguments, head, joined, runs, share_interval, table_row, write_page
 from matplotlib import pyplot as plt
 from mocca_recording import MARGINS, ONSETS_S, RATE_HZ, Segment, nominal_tree, read_segments, recording
+from tauext_lab.own_network import load_network
 from tauext_lab.report.style import CONTACT, DPI, OBSERVER, OBSERVER_WIDTH, RC, WIDTH_IN
 
 from tauext import _core
@@ -199,7 +200,7 @@ def authors_section(segments: list[Segment], dataset: Dataset, data: Path, out: 
     weights, file = authors_weights(data), out / "authors.npz"
     np.savez(file, **weights, input_scale=INPUT_SCALE, output_scale_nm=OUTPUT_SCALE_NM)
     config = settings("paper", AUTHORS_GAIN_PER_S, limits="paper")
-    bundle = train_bundle(dataset, out / "authors.tauext", "none", config=config, check=False, network=str(file))
+    bundle = train_bundle(dataset, out / "authors.tauext", "none", config=config, check=False, start=load_network(file))
     tested, difference, windows = new_test(), 0.0, 0
     for one, made in zip(segments, dataset.recordings("train"), strict=True):
         found = estimates(bundle, made)

@@ -30,8 +30,8 @@ def weigh_constants(
     """Find the factors on the bundle's torques from a load of known mass.
 
     Raises:
-        ConfigError: no load is detected, or no torque constant is off by so much.
-        CoreError: the motion does not determine the common factor to 3 %.
+        ConfigError: no load is detected, no torque constant is off by so much, or the motion does not determine the
+            common factor to 3 %.
     """
     first = identify(bundle, frame, parts, reach_m)
     if first.verdict != "load" or not first.mass_seen:
@@ -42,10 +42,13 @@ def weigh_constants(
             f"--known-kg {mass_kg:g} cannot set torque constants: the estimated mass is {first.mass_kg:.2g} kg, "
             f"a factor of more than {MOST_RATIO:g} less; are these the recordings with the weight?"
         )
-    known = _core.weigh_known(
-        bundle, frame.frame, [part.arrays for part in parts], mass_kg, first.phi.tolist(),
-        (~weighing_joints(bundle)).tolist(), None if com_m is None else list(com_m), reach_m,
-    )  # fmt: skip
+    try:
+        known = _core.weigh_known(
+            bundle, frame.frame, [part.arrays for part in parts], mass_kg, first.phi.tolist(),
+            (~weighing_joints(bundle)).tolist(), None if com_m is None else list(com_m), reach_m,
+        )  # fmt: skip
+    except _core.CoreError as error:
+        raise ConfigError(f"--known-kg {mass_kg:g} cannot set torque constants: {error}") from None
     if bundle.units.relative_to < 0 and not 1 / MOST_FACTOR < known.common < MOST_FACTOR:
         raise ConfigError(
             f"{mass_kg:g} kg would make every torque {known.common:.3g} times as large; torque constants are not off "

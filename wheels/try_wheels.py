@@ -54,6 +54,7 @@ def main() -> None:
     """Every Python that is there; none there, or anything that fails, is an error."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--pythons", nargs="+", choices=SUPPORTED, default=SUPPORTED)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job and its children ignore it
     here = {version: python for version in arguments.parse_args().pythons if (python := find_python(version))}
     if not here:
         sys.exit("no Python to try a wheel with")

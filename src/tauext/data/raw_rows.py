@@ -31,7 +31,7 @@ PIECE_ROWS = 150_000
 MOST_WAITING = 20 * PIECE_ROWS
 """Rows that are kept until the stamps go on: no arm is sampled as often within LATE_S."""
 MOST_SHARE = 0.2
-"""Share above which the file is refused: it is not what the description says."""
+"""Share above which the file is refused: it is not what the description states."""
 LEAST_REFUSED = 10
 """Fewer rows left out refuse no file, whatever its length."""
 THROUGHOUT = 0.9

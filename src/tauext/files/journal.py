@@ -38,7 +38,7 @@ UNUSABLE = "unusable"
 """Kind of a line whose values break a rule of journal_lines.py: `why` holds the reason, its content is left out. It
 counts as lost, as it may have been an answer."""
 TAIL = 64
-"""Bytes before the end of what was read, by which a grown file is told from another one."""
+"""Bytes before the end of what was read, by which a grown file is distinguished from another one."""
 Line = dict[str, Any]
 
 

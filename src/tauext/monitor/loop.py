@@ -583,7 +583,7 @@ class Loop:
                 self._requests.put(partial(self._note, f"{path.name!r}: {type(error).__name__}: {error}"))
 
     def _ask_to_take_over(self, successor: Successor) -> str:
-        """In the thread of exchanges: have the loop take over, and wait for what it says."""
+        """In the thread of exchanges: have the loop take over, and wait for its answer."""
         answers: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._requests.put(lambda: answers.put(self._take_over(successor)))
         while self._running or not answers.empty():

@@ -23,7 +23,6 @@ from tauext.monitor.touch_place import newtons
 
 
 EventKind = Literal["collision", "contact", "fault", "cleared"]
-EVENT_KINDS: tuple[EventKind, ...] = ("collision", "contact", "fault", "cleared")
 
 
 @dataclass(frozen=True, slots=True)

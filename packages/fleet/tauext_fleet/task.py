@@ -19,7 +19,10 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+import tauext_lab
+
 import tauext
+import tauext_fleet
 from tauext import _core
 from tauext.errors import ConfigError, FaultyDataError, TauextError
 from tauext.files.plain_file import FORMAT, expect_file, json_of
@@ -134,15 +137,25 @@ def digest_of(content: object) -> str:
 # --- The build of tauext: the release, and a digest of all code that decides an output's bytes.
 
 
-COUNTED = ("files", "robot", "data", "bundle", "check", "fit", "train", "evaluate")
-"""Packages of tauext whose code decides a task's output, beside its root modules."""
-MORE_FILES = ("monitor/changes.py", "monitor/touch_place.py")
-FOR_LIKE = ("expected_friction.py", "fleet_prior.py", "hierarchy.py", "like.py", "map_regression.py")
-OWN_FILES = ("config.py", "locations.py", "stages.py", "store.py", "task.py", *FOR_LIKE)
-"""Of this package."""
-ROOTS = Path(tauext.__file__).parent, Path(__file__).parent
-"""Of tauext, and of this package."""
-DIGITS = 12
+COUNTED = {
+    "tauext": ("files", "robot", "data", "bundle", "check", "fit", "train", "monitor"),
+    "tauext_lab": ("evaluate", "torch_backend.py", "own_network.py"),
+    "tauext_fleet": (
+        *("config.py", "locations.py", "stages.py", "store.py", "task.py"),
+        *("expected_friction.py", "fleet_prior.py", "hierarchy.py", "like.py", "map_regression.py"),
+    ),
+}
+"""Folders and files whose code decides a task's output, by package. Root modules of tauext count, too."""
+ROOTS = tuple(Path(package.__file__).parent for package in (tauext, tauext_lab, tauext_fleet))
+
+
+def is_counted(package: str, name: Path) -> bool:
+    """Whether the code of a file decides a task's output.
+
+    Args:
+        name: relative to the package.
+    """
+    return name.parts[0] in COUNTED[package] or (package == "tauext" and len(name.parts) == 1)
 
 
 @cache
@@ -151,14 +164,13 @@ def build() -> str:
 
     Of libraries only the core's own counts: another NumPy repeats no task, and is listed in each output's provenance.
     """
-    root, own = ROOTS
     digest = hashlib.sha256(Path(_core.__file__).read_bytes())
-    for file in (*sorted(root.rglob("*.py")), *(own / name for name in OWN_FILES)):
-        name = file.relative_to(own if file.parent == own else root)
-        if name.parts[0] in COUNTED or len(name.parts) == 1 or name.as_posix() in MORE_FILES:
-            digest.update(f"{name.as_posix()}\0".encode())
-            digest.update(file.read_bytes())
-    return f"{VERSION}+{digest.hexdigest()[:DIGITS]}"
+    for root in ROOTS:
+        for file in sorted(root.rglob("*.py")):
+            if is_counted(root.name, name := file.relative_to(root)):
+                digest.update(f"{root.name}/{name.as_posix()}\0".encode())
+                digest.update(file.read_bytes())
+    return f"{VERSION}+{digest.hexdigest()[:12]}"
 
 
 # --- One stage of one arm: done once, in a folder that appears complete, with a marker of its inputs.

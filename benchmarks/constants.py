@@ -32,7 +32,7 @@ from tauext.config import PAPER_CASES, ObserverConfig, TrainConfig
 from tauext.data.recording import Recording
 from tauext.data.servo import AMPERES, FROM_AMPERES
 from tauext.errors import TauextError
-from tauext.fit.torque_constants import GUESS, fit_torque_constants
+from tauext.fit.torque_constants import ConstantsConfig, fit_torque_constants
 from tauext.monitor.known_load import weigh_constants
 from tauext.monitor.weighing import identify, load_frame, see
 from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
@@ -217,7 +217,7 @@ def figures(what: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
     Constants that are no better than a guess are left out: they are not used as N m.
     """
     off, error = (np.array([np.nan if row[name] is None else row[name] for row in rows]) for name in ("off", "error"))
-    used = error < GUESS if what == "constant" else np.isfinite(error)
+    used = error < ConstantsConfig.guess if what == "constant" else np.isfinite(error)
     off, error = off[used], error[used]
     rms, said = (float(np.sqrt(np.mean(np.square(one)))) for one in (off, error))
     return {

@@ -43,7 +43,7 @@ from tauext.config import PAPER_CASES, PriorConfig, TrainConfig
 from tauext.data.dataset import load_dataset
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.fit.bundle_writing import build_setup
-from tauext.fit.find_kinematics import REFINED, KinematicSample, directions
+from tauext.fit.find_kinematics import ArmSearch, KinematicSample, directions
 from tauext.fit.prior_terms import own_terms
 from tauext.fit.training_set import with_presliding
 from tauext.monitor.estimate import estimate_recording
@@ -280,7 +280,7 @@ def of_axes(data: Path) -> dict:
     setup = with_presliding(build_setup(tree, training[0], TrainConfig().observer), config.widths_rad)
     own = [own_terms(setup, config, joint) for joint in range(tree.size)]
     sample = KinematicSample(setup.tree, setup.observer, training, own, setup.widths_rad)
-    found = directions(sample, training[0].joints)[:REFINED]
+    found = directions(sample)[: ArmSearch.refined]
     axes = {f"axes {k + 1}": json.dumps(one.kinematics.axes.astype(int).tolist()) for k, one in enumerate(found)}
     return {"decisions": axes, "limits": [], "l1": [one.error for one in found], "collisions": None}
 

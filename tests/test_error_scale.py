@@ -29,7 +29,7 @@ from tauext.train.error_scale import (
     put_constant_error,
     sigma_weights,
 )
-from tauext.train.network import HIT_S, LATEST_S, WORTH, mean_delay_s
+from tauext.train.network import GainConfig, mean_delay_s
 
 ROWS = 20_000
 
@@ -176,7 +176,7 @@ def test_a_hit_is_found_as_the_observer_s_own_response_says():
     period_ns = 100_000
     t_ns = np.arange(1500, dtype=np.int64) * period_ns
     t = 1e-9 * t_ns
-    hit = np.where(t < HIT_S, np.sin(np.pi * t / HIT_S), 0.0)
+    hit = np.where(t < GainConfig.hit_s, np.sin(np.pi * t / GainConfig.hit_s), 0.0)
     for gain in (20.0, 100.0):
         settings = _core.ObserverSettings(
             gain_per_s=gain, timing=_core.TorqueTiming.instant, sample_period_ns=period_ns, network_stride=1
@@ -186,7 +186,7 @@ def test_a_hit_is_found_as_the_observer_s_own_response_says():
         for limit in (0.05, 0.2, 0.35):
             found = t[np.argmax(r > limit)]
             assert mean_delay_s(gain, np.array([[limit]]), np.array([1.0])) == pytest.approx(found, abs=2.5e-4)
-    assert mean_delay_s(20.0, np.array([[4.0, 4.0]]), np.array([1.0, 2.0])) == LATEST_S
+    assert mean_delay_s(20.0, np.array([[4.0, 4.0]]), np.array([1.0, 2.0])) == GainConfig.latest_s
 
 
 def test_the_gain_follows_from_the_errors(tmp_path, monkeypatch):
@@ -201,7 +201,7 @@ def test_the_gain_follows_from_the_errors(tmp_path, monkeypatch):
         bundle, facts = trained(folder, monkeypatch, [motion(seconds=90.0, seed=5, tau=tau)], recipe="prior")
         delay_s = {float(gain): delay for gain, delay in facts["gain"]["mean_delay_s"].items()}
         worth[name] = delay_s[20.0] / delay_s[50.0]
-        chosen = 50.0 if worth[name] > 1 + WORTH else 20.0  # 100 1/s follows samples of 8 ms
+        chosen = 50.0 if worth[name] > 1 + GainConfig.worth else 20.0  # 100 1/s follows samples of 8 ms
         assert bundle.observer.gain_per_s == facts["gain"]["chosen_per_s"] == chosen
         assert "is found after" in facts["gain"]["reason"]
         assert json.dumps(facts["settings"]).count('"gain_per_s": "auto"') == 1

@@ -16,10 +16,7 @@ from tauext import _core
 from tauext.config import ObserverConfig
 from tauext.errors import ConfigError
 from tauext.fit.torque_constants import (
-    FILE_CENTRE,
-    FILE_COMMON,
-    FILE_MASS,
-    LEAST_OWN,
+    ConstantsConfig,
     Evidence,
     ScaledArm,
     as_it_is,
@@ -162,7 +159,8 @@ def test_a_pendulums_constant_is_as_uncertain_as_its_mass_and_centre():
     assert found.nm_per_unit == pytest.approx([12.0], rel=0.01)
     # Gravity shows m c / k alone. Neither its rotor nor its inertia about the joint shows the scale of k.
     size = np.sqrt(inertial_parameters(link)[4:7].sum() / (2 * link.mass))
-    expected = np.linalg.norm([FILE_MASS, FILE_COMMON, FILE_CENTRE * size / link.com[0], LEAST_OWN])
+    file = ConstantsConfig
+    expected = np.linalg.norm([file.file_mass, file.file_common, file.file_centre * size / link.com[0], file.least_own])
     assert found.shares == pytest.approx([expected], rel=0.05) and found.common_share == 0
 
 
@@ -178,7 +176,7 @@ def test_masses_that_are_off_together_go_into_every_constant_and_are_in_their_co
     right, heavy = (fit_torque_constants(with_masses(arm(), [s] * 4), currents, ObserverConfig()) for s in (1.0, 1.2))
     np.testing.assert_allclose(heavy.nm_per_unit / right.nm_per_unit, 1.2, rtol=0.02)
     for found in (right, heavy):
-        assert FILE_COMMON < found.common_share < 0.15 and (found.shares < found.common_share).all()
+        assert ConstantsConfig.file_common < found.common_share < 0.15 and (found.shares < found.common_share).all()
     said = right.sentences(JOINTS)[0]
     assert f"all together ± {right.common_share:.0%}" in said and "tauext load --known-kg" in said
     assert right.facts(JOINTS)["common_share"] == right.common_share

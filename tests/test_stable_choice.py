@@ -11,7 +11,7 @@ from made_recordings import made_motion
 from test_kinematics import CONFIG, arm, setup_of
 
 from tauext import _core
-from tauext.fit.find_kinematics import BEAM, Kinematics, KinematicSample, directions, frame_of
+from tauext.fit.find_kinematics import ArmSearch, Kinematics, KinematicSample, directions, frame_of
 from tauext.fit.prior import fit_prior
 from tauext.fit.prior_terms import encoder_count, own_terms
 from tauext.fit.regression import RIDGES, NormalEquations, Regression
@@ -67,8 +67,8 @@ def test_of_mirror_images_the_search_keeps_the_one_that_it_tried_first():
     recordings = made_motion(planar_arm(), 0.5, pieces=1).recordings
     own = [own_terms(setup, CONFIG, joint) for joint in range(2)]
     sample = KinematicSample(setup.tree, setup.observer, recordings, own, setup.widths_rad)
-    found = directions(sample, ("a", "b"))
-    assert 1 < len(found) <= BEAM
+    found = directions(sample)
+    assert 1 < len(found) <= ArmSearch.beam
     pairs = 0
     for k, one in enumerate(found):
         image = one.kinematics.axes * [1, -1, -1]  # mirrored, and turned about the vertical by half a turn

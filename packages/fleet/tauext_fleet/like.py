@@ -13,7 +13,7 @@ from tauext.config import PriorConfig, TrainConfig
 from tauext.data.free_motion import total_s
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
-from tauext.fit.coverage import LEAST_SPEED_RAD_S, CoverageFit, Motion
+from tauext.fit.coverage import CoverageConfig, CoverageFit, Motion
 from tauext.fit.prior import bound_loads, branches_of
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.ridge import Regressors, gather, solved
@@ -22,7 +22,7 @@ from tauext.fit.training_set import Setup, with_presliding
 from tauext.recipes import FULL_PRIOR
 from tauext.train.error_scale import FEATURES, ErrorRows, blind_sigma, freeze_floor_nm
 from tauext.train.paper_limits import set_limits
-from tauext.train.preparation import Job, Start
+from tauext.train.preparation import Start, TrainingRun
 from tauext_fleet.expected_friction import expectations, settings_with
 from tauext_fleet.fleet_prior import ArmType, FleetErrors, FleetPrior, links_digest, load_fleet_prior
 from tauext_fleet.map_regression import MapRegression
@@ -48,13 +48,13 @@ class Like(Start):
             return config
         return replace(config, observer=replace(config.observer, gain_per_s=self.prior.gain_per_s))
 
-    def begin(self, job: Job, setup: Setup) -> None:
+    def begin(self, run: TrainingRun, setup: Setup) -> None:
         """Add which prior it is; ConfigError: its arms are of another type."""
-        self.prior.type.expect(arm_type(job, setup), "the fleet prior", job.name)
+        self.prior.type.expect(arm_type(run, setup), "the fleet prior", run.name)
         errors = self.prior.errors
         judged = {} if errors is None else {"judged_hours": errors.hours, "judged_minutes": errors.minutes}
-        job.facts["like"] = self.identity() | {"trust": self.prior.weights.trust} | judged
-        job.facts["gain"] = {"chosen_per_s": setup.observer.gain_per_s, "reason": "the fleet prior's"}
+        run.facts["like"] = self.identity() | {"trust": self.prior.weights.trust} | judged
+        run.facts["gain"] = {"chosen_per_s": setup.observer.gain_per_s, "reason": "the fleet prior's"}
 
     def identity(self) -> dict:
         """Facts that identify the fleet prior by content."""
@@ -86,37 +86,37 @@ class Like(Start):
         """Motion that any arm of the fleet showed is familiar, too."""
         return fit if self.prior.coverage is None else seen_too(fit, self.prior.coverage, setup, recordings)
 
-    def put_scale(self, job: Job, bundle: _core.Bundle, rows: ErrorRows) -> dict | None:
+    def put_scale(self, run: TrainingRun, bundle: _core.Bundle, rows: ErrorRows) -> dict | None:
         """Set the fleet's error scale, adjusted to the size of this arm's errors."""
-        errors = self.errors_for(job, bundle)
+        errors = self.errors_for(run, bundle)
         if errors is None:
             return None
         found = sizes(rows, scale_settings(errors, np.ones(bundle.joints)))
         bundle.error_scale = scale_settings(errors, np.clip(found, LEAST_SIZE, None))
         blind_sigma(bundle)
-        drift = job.config.drift
+        drift = run.config.drift
         if bundle.drift.time_constant_s > 0:
             seen = freeze_floor_nm(rows.error_nm, drift, rows.period_s)
             bundle.drift.freeze_floor_nm = np.maximum(
                 drift.freeze_floor_share * np.array(bundle.drift.size_nm), seen
             ).tolist()
-        by_joint = dict(zip(job.joints, found.round(4).tolist(), strict=True))
+        by_joint = dict(zip(run.joints, found.round(4).tolist(), strict=True))
         loud = [f"{name} {value:.1f}" for name, value in by_joint.items() if value > LARGEST_SIZE]
         if loud:
-            job.notes.append(
+            run.notes.append(
                 f"errors are larger than the fleet's by {', '.join(loud)}: this arm differs from the others there, and "
                 "its limits are raised as much"
             )
         return {"hours": rows.hours, "like": by_joint}
 
-    def put_limits(self, job: Job, bundle: _core.Bundle, kind: str) -> tuple[str, dict] | None:
+    def put_limits(self, run: TrainingRun, bundle: _core.Bundle, kind: str) -> tuple[str, dict] | None:
         """Set the fleet's limits in place of supported ones; returns their basis as text, and facts."""
-        errors = self.errors_for(job, bundle) if kind == "supported" else None
+        errors = self.errors_for(run, bundle) if kind == "supported" else None
         if errors is None:
             return None
         limits = np.array([errors.sliding_limit_nm, errors.near_stiction_limit_nm])
         contact = np.array([errors.contact_sliding_limit_nm, errors.contact_near_stiction_limit_nm])
-        set_limits(bundle, limits, job.config.alarm, contact, (errors.hold_s, errors.contact_hold_s))
+        set_limits(bundle, limits, run.config.alarm, contact, (errors.hold_s, errors.contact_hold_s))
         words = (
             f"limits are those of {errors.arms} arms of this type that had {errors.minutes:g} min of their own and the "
             f"prior of the others, on {60 * errors.hours:.0f} min of the rest of their motion, and as large as this "
@@ -125,12 +125,12 @@ class Like(Start):
         )
         return words, dict(errors.facts) | {"sentence": words, "like": True}
 
-    def errors_for(self, job: Job, bundle: _core.Bundle) -> FleetErrors | None:
+    def errors_for(self, run: TrainingRun, bundle: _core.Bundle) -> FleetErrors | None:
         """The fleet's errors for this arm; None: none, or limits are constants or follow from the arm's own errors."""
-        if bundle.has_network or job.config.resolved().error_scale != "on":
+        if bundle.has_network or run.config.resolved().error_scale != "on":
             return None
         same = self.prior.gain_per_s == bundle.observer.gain_per_s
-        return self.prior.errors if same and total_s(job.motion.uncut) < ENOUGH_S else None
+        return self.prior.errors if same and total_s(run.motion.uncut) < ENOUGH_S else None
 
     def expect_bundle(self, bundle: _core.Bundle) -> None:
         """Raise ConfigError for a refit if the fleet's joints differ, or none of its arms had several recordings."""
@@ -162,26 +162,26 @@ def load_like(path: Path) -> Like:
 # --- Arms of one type.
 
 
-def arm_type(job: Job, setup: Setup) -> ArmType:
+def arm_type(run: TrainingRun, setup: Setup) -> ArmType:
     """Properties that a fleet's arms must share with this one."""
-    training = job.training[0]
+    training = run.training[0]
     return ArmType(
-        joints=job.joints,
-        case=job.case.name,
+        joints=run.joints,
+        case=run.given.case.name,
         rate_hz=round(float(training.rate_hz), 3),
         network_stride=setup.observer.network_stride,
         torque_timing=training.torque_timing,
-        units=units_of(job),
-        links=links_digest(job.tree),
+        units=units_of(run),
+        links=links_digest(run.tree),
     )
 
 
-def units_of(job: Job) -> tuple[str, ...]:
+def units_of(run: TrainingRun) -> tuple[str, ...]:
     """Unit of each joint's torque in the prior: newton metres, or this arm's own unit."""
-    if job.constants is None:
-        return (job.units.given.name,) * len(job.joints)
-    unknown = job.units.unknown or [0] * len(job.joints)
-    relative = job.units.relative_to >= 0
+    if run.constants is None:
+        return (run.units.given.name,) * len(run.joints)
+    unknown = run.units.unknown or [0] * len(run.joints)
+    relative = run.units.relative_to >= 0
     return tuple("its own unit" if one or relative else "newton_metre" for one in unknown)
 
 
@@ -196,7 +196,7 @@ def seen_too(
     both = _core.CoverageSettings()
     for name in ("turns", "centre_rad", "span_rad", "seen", "reach", "seen_together", "reach_together"):
         setattr(both, name, getattr(others, name))
-    own = np.maximum(motion.lasting.max(axis=0), LEAST_SPEED_RAD_S)
+    own = np.maximum(motion.lasting.max(axis=0), CoverageConfig.least_speed_rad_s)
     both.fastest_rad_s = np.maximum(own, others.fastest_rad_s).tolist()
     both.see(motion.q)
     return CoverageFit(both, fit.left_out_share)

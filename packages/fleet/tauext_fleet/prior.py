@@ -24,7 +24,7 @@ from tauext.train.fitting import observe
 from tauext_fleet.fleet_prior import FleetPrior, block_columns, expect_name, write_fleet_prior
 from tauext_fleet.hierarchy import Hierarchy, learn_hierarchy
 from tauext_fleet.like import Like, seen_too
-from tauext_fleet.prior_arms import LEAST_ARMS, FleetArm, OwnTerms, job_of, own_terms_of, settings_of
+from tauext_fleet.prior_arms import LEAST_ARMS, FleetArm, OwnTerms, own_terms_of, run_of, settings_of
 from tauext_fleet.prior_content import ODD
 from tauext_fleet.prior_evidence import (
     ArmEvidence,
@@ -172,7 +172,7 @@ def make_fleet_prior(
     config = replace(config, recipe="prior")
     own, left_out = terms_of_all(arms, config, accept, report)
     gain, widths = common_gain(own), common_widths(own)
-    setup = observe(job_of(own[0].arm, settings_of(own[0], config, gain)))
+    setup = observe(run_of(own[0].arm, settings_of(own[0], config, gain)))
     terms = common_terms(setup, config.prior, own)
     evidence = every_evidence(own, config, gain, widths, terms, report)
     found = learn_hierarchy([one.evidence() for one in evidence], block_columns(terms))
@@ -270,13 +270,13 @@ def common_coverage(own: Sequence[OwnTerms], config: TrainConfig, gain_per_s: fl
     """Motion that any of the arms covered, as finely resolved as the longest recording allows."""
     fits = []
     for one in own:
-        job = job_of(one.arm, settings_of(one, config, gain_per_s))
-        setup = observe(job)
-        fits.append((sum(r.duration_s for r in job.motion.uncut), one, fit_coverage(setup, job.motion.uncut)))
+        run = run_of(one.arm, settings_of(one, config, gain_per_s))
+        setup = observe(run)
+        fits.append((sum(r.duration_s for r in run.motion.uncut), one, fit_coverage(setup, run.motion.uncut)))
     _, _, widest = max(fits, key=lambda fit: fit[0])
     for _, one, _ in fits:
-        job = job_of(one.arm, settings_of(one, config, gain_per_s))
-        widest = seen_too(widest, widest.settings, observe(job), job.motion.uncut)
+        run = run_of(one.arm, settings_of(one, config, gain_per_s))
+        widest = seen_too(widest, widest.settings, observe(run), run.motion.uncut)
     return widest.settings
 
 

@@ -19,7 +19,7 @@ from tauext.robot.model_case import chosen_case
 from tauext.train.data_check import check_data
 from tauext.train.fitting import fit_prior, observe
 from tauext.train.network import choose_gain
-from tauext.train.preparation import NOTHING, Job, Start, TrainingInput, prepare
+from tauext.train.preparation import NOTHING, Start, TrainingInput, TrainingRun, prepare
 from tauext_fleet.fleet_prior import ArmType
 from tauext_fleet.like import arm_type
 
@@ -93,14 +93,14 @@ def distinct(folders: Sequence[Path]) -> list[str]:
     return [str(folder) for folder in folders]
 
 
-def job_of(
+def run_of(
     arm: FleetArm,
     config: TrainConfig,
     minutes: float | None = None,
     start: Start = NOTHING,
     accept: Sequence[str] | None = None,
     report: Reporter = SILENT,
-) -> Job:
+) -> TrainingRun:
     """A training of the arm up to its motion, as `train` begins it.
 
     Args:
@@ -129,24 +129,24 @@ def own_terms_of(arm: FleetArm, config: TrainConfig, accept: Sequence[str], repo
     """What the arm's own training kept: of its bundle, or found as a training finds it.
 
     Raises:
-        TauextError: as job_of; a bundle without a prior.
+        TauextError: as run_of; a bundle without a prior.
     """
-    job = job_of(arm, config, accept=accept if arm.bundle is None else None, report=report)
-    recordings = job.motion.uncut
+    run = run_of(arm, config, accept=accept if arm.bundle is None else None, report=report)
+    recordings = run.motion.uncut
     if arm.bundle is None:
-        setup = observe(job)
-        fit = fit_prior(job, setup, recordings)
+        setup = observe(run)
+        fit = fit_prior(run, setup, recordings)
         assert fit is not None
-        kind = arm_type(job, setup)
-        if job.config.resolved().observer.gain_per_s == "auto":
-            setup, fit = choose_gain(job, setup, fit)
+        kind = arm_type(run, setup)
+        if run.config.resolved().observer.gain_per_s == "auto":
+            setup, fit = choose_gain(run, setup, fit)
         settings, observer = fit.settings, setup.observer
     else:
         bundle = load_bundle(arm.bundle)
         if not bundle.prior.corrected_links:
             raise ConfigError(f"{arm.bundle}: it has no prior that corrects a model; recipes tauext and prior make one")
         settings, observer = bundle.prior, bundle.observer
-        kind = arm_type(job, observe(job))
+        kind = arm_type(run, observe(run))
     joints = range(len(kind.joints))
     ripples, loads = ([t for t in settings.terms if t.kind == k] for k in (_core.TermKind.ripple, _core.TermKind.load))
     tops = [float(max(abs(recording.dq[:, j]).max() for recording in recordings)) for j in joints]

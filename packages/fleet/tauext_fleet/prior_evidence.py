@@ -11,11 +11,10 @@ from tauext import _core
 from tauext.config import AlarmConfig, TrainConfig
 from tauext.data.free_motion import total_s
 from tauext.data.recording import Recording
-from tauext.fit.bundle_writing import error_memory_s
 from tauext.fit.regression import NormalEquations, Regression
 from tauext.fit.ridge import Regressors, gather, solved
 from tauext.fit.stable_choice import simplest
-from tauext.fit.training_set import with_presliding
+from tauext.fit.training_set import Setup, remainder, with_presliding
 from tauext.train.error_scale import ErrorRows, Judged, collect_rows, scale_of
 from tauext.train.fitting import fit_prior, observe, put_prior, with_fit
 from tauext.train.held_peaks import Peaks, collect_peaks
@@ -27,7 +26,7 @@ from tauext_fleet.fleet_prior import FleetDays, FleetErrors, block_columns
 from tauext_fleet.hierarchy import MORE_ARMS, Evidence, Hierarchy, learn_hierarchy
 from tauext_fleet.like import LEAST_SIZE, Like, scale_settings, sizes
 from tauext_fleet.map_regression import MapRegression, WeightPrior
-from tauext_fleet.prior_arms import OwnTerms, first_minutes, job_of, settings_of
+from tauext_fleet.prior_arms import OwnTerms, first_minutes, run_of, settings_of
 
 # --- How friction of an arm differs from one recording to the next, over its joints: what a refit may expect of a joint
 # that hardly moved.
@@ -164,6 +163,28 @@ class ArmEvidence:
         return Evidence(gram, moment, float(independent.max()) * self.whole.rows)
 
 
+def error_memory_s(
+    setup: Setup, recordings: Sequence[Recording], settings: _core.PriorSettings, longest_s: float = 2.0
+) -> np.ndarray:
+    """Correlation time of each joint's error, (n,), [s]: a period and twice the sum of its correlations.
+
+    Rows within it are not independent. It is summed up to the first lag whose correlation is below 0.05, as in the
+    core's refit, and at most up to longest_s.
+    """
+    most = max(2, round(longest_s / setup.network_period_s))
+    n = setup.tree.size
+    products = np.zeros((most, n))
+    for recording in recordings:
+        observation, rows = setup.observe(recording, settings)
+        left = remainder(observation)[rows]
+        for lag in range(min(most, len(left))):
+            products[lag] += (left[lag:] * left[: len(left) - lag]).sum(axis=0)
+    correlation = products / np.maximum(products[0], 1e-300)
+    gone = np.argmax(np.vstack([correlation < 0.05, np.ones(n, dtype=bool)]), axis=0)
+    inside = np.arange(most)[:, None] < gone
+    return setup.network_period_s * np.maximum(1.0, 2 * (correlation * inside).sum(axis=0) - 1)
+
+
 def evidence_of(
     own: OwnTerms,
     config: TrainConfig,
@@ -172,8 +193,8 @@ def evidence_of(
     terms: Sequence[Sequence[_core.Term]],
 ) -> ArmEvidence:
     """The arm's motion read again, at the fleet's gain and on the fleet's terms."""
-    job = job_of(own.arm, settings_of(own, config, gain_per_s))
-    setup, recordings = with_presliding(observe(job), widths_rad), job.motion.uncut
+    run = run_of(own.arm, settings_of(own, config, gain_per_s))
+    setup, recordings = with_presliding(observe(run), widths_rad), run.motion.uncut
     regressors = Regressors(terms, corrected=setup.tree)
     found = gather(setup, recordings, regressors)
     equations = [one for one, _ in found]
@@ -273,27 +294,27 @@ def new_arm(own: OwnTerms, config: TrainConfig, like: Like) -> NewArm:
         config: without torque constants, which the minute has to determine.
         like: prior from the other arms.
     """
-    job = job_of(own.arm, config, minutes=MINUTES, start=like)
-    setup = observe(job)
-    fit = fit_prior(job, setup, job.motion.uncut)
+    run = run_of(own.arm, config, minutes=MINUTES, start=like)
+    setup = observe(run)
+    fit = fit_prior(run, setup, run.motion.uncut)
     assert fit is not None
-    bundle = assemble(job, with_fit(setup, fit))
-    put_prior(job, bundle, fit)
+    bundle = assemble(run, with_fit(setup, fit))
+    put_prior(run, bundle, fit)
     if bundle.region_width >= 0:
         bundle.near_memory_s = SupportedConfig.near_memory / bundle.observer.gain_per_s
-    bundle.after_contact_factor = job.config.alarm.after_contact_factor
-    _, left_out = unseen_motion(job, bundle, setup, fit)
-    margins = job.config.margins
-    minute = collect_rows(bundle, left_out, job.threads, margins)
-    rest = collect_rows(bundle, judged_rest(own, config, bundle, like.prior.gain_per_s), job.threads, margins)
+    bundle.after_contact_factor = run.config.alarm.after_contact_factor
+    _, left_out = unseen_motion(run, bundle, setup, fit)
+    margins = run.config.margins
+    minute = collect_rows(bundle, left_out, run.threads, margins)
+    rest = collect_rows(bundle, judged_rest(own, config, bundle, like.prior.gain_per_s), run.threads, margins)
     return NewArm(own, bundle, minute, rest)
 
 
 def judged_rest(own: OwnTerms, config: TrainConfig, bundle: _core.Bundle, gain_per_s: float) -> Iterator[Judged]:
     """The arm's motion behind its first minute, judged by this bundle."""
-    job = job_of(own.arm, settings_of(own, config, gain_per_s))
+    run = run_of(own.arm, settings_of(own, config, gain_per_s))
     before_s = 0.0
-    for recording in job.motion.uncut:
+    for recording in run.motion.uncut:
         first_s = max(60 * MINUTES - before_s, 0.0)
         last_s = 60 * MINUTES + MOST_REST_S - before_s
         before_s += recording.duration_s

@@ -6,14 +6,15 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from tauext.check.before_training import expect_codes
-from tauext.config import PAPER_CASES, CaseName, LimitsKind, TrainConfig
+from tauext.config import PAPER_CASES, CaseName, LimitsKind, ModelCase, TrainConfig
 from tauext.data.dataset import Dataset
 from tauext.errors import ConfigError
+from tauext.files.plain_file import json_of, read_text
 from tauext.progress import SILENT, Reporter
 from tauext.recipes import baselines, recipe_of
 from tauext.robot.model_case import chosen_case
 from tauext.train.data_check import check_data
-from tauext.train.preparation import TrainingInput, finished, why_impossible
+from tauext.train.preparation import TrainingInput, training_settings, why_impossible
 from tauext.train.stage import train_on_recordings
 
 
@@ -87,3 +88,32 @@ def train_baselines(
         for name, config in missing.items():
             train_on_recordings(given, config, bundles[name], report, checked, accept=accepted)
     return bundles
+
+
+def finished(bundle: Path, case: ModelCase, config: TrainConfig) -> bool:
+    """Whether this bundle was already trained with these settings.
+
+    Raises:
+        ConfigError: a bundle with other settings exists there.
+    """
+    run = bundle.with_suffix(".run.json")
+    if not bundle.exists() or not run.exists():
+        return False
+    settings = run_settings(run)
+    if settings == training_settings(case, config):
+        return True
+    raise ConfigError(f"{bundle}: it was trained with other settings; choose another --out or remove it")
+
+
+def run_settings(run: Path) -> dict:
+    """Read the settings in a run file.
+
+    Raises:
+        ConfigError: it is damaged.
+    """
+    try:
+        return json_of(read_text(run))["settings"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ConfigError(
+            f"{run}: not a readable run file ({error}); remove it and the bundle, or train elsewhere"
+        ) from error

@@ -19,7 +19,7 @@ from tauext.files.plain_file import LARGEST_TEXT, read_bytes
 from tauext.fit.network_training import ScaledNetwork, TrainedNetwork
 from tauext.fit.training_set import Scaling, Setup
 from tauext.train.paper_limits import set_limits
-from tauext.train.preparation import TRAINING_ONLY, Job, Start
+from tauext.train.preparation import TRAINING_ONLY, Start, TrainingRun
 
 # --- PyTorch's LSTM of one layer and a linear head, in the layout of LstmShape.
 
@@ -84,24 +84,24 @@ class OwnNetwork(Start):
         require(off, "error_scale", config.error_scale, "left out with limit_nm of a given network, which is constant")
         return replace(config, hidden=hidden)
 
-    def begin(self, job: Job, setup: Setup) -> None:
+    def begin(self, run: TrainingRun, setup: Setup) -> None:
         """Add which file it is; ConfigError: the network does not have one output for each joint."""
-        if self.shape.outputs != len(job.joints):
+        if self.shape.outputs != len(run.joints):
             raise ConfigError(
-                f"{self.file}: a network of {self.shape.outputs} joints; the recordings have {len(job.joints)}: "
-                f"{', '.join(job.joints)}"
+                f"{self.file}: a network of {self.shape.outputs} joints; the recordings have {len(run.joints)}: "
+                f"{', '.join(run.joints)}"
             )
-        job.facts["network"] = {"file": self.file, "sha256": self.sha256, "hidden": self.shape.hidden}
+        run.facts["network"] = {"file": self.file, "sha256": self.sha256, "hidden": self.shape.hidden}
 
     def network(self) -> ScaledNetwork:
         """The network, as if it had been trained in no step."""
         return ScaledNetwork(self.scaling, TrainedNetwork(self.shape, self.parameters, [], steps=0, seconds=0.0))
 
-    def put_limits(self, job: Job, bundle: _core.Bundle, kind: str) -> tuple[str, dict] | None:
+    def put_limits(self, run: TrainingRun, bundle: _core.Bundle, kind: str) -> tuple[str, dict] | None:
         """Set the user's limits, if there are some and the settings ask for no kind."""
-        if self.limit_nm is None or job.config.limits != "auto":
+        if self.limit_nm is None or run.config.limits != "auto":
             return None
-        set_limits(bundle, np.tile(self.limit_nm, (2, 1)), job.config.alarm)
+        set_limits(bundle, np.tile(self.limit_nm, (2, 1)), run.config.alarm)
         words = f"limits are {LIMIT} of {self.file}, and promise nothing"
         return words, {"sentence": words}
 

@@ -93,7 +93,7 @@ def reproduce_paper(
     """
     from tauext.data.dataset import load_dataset
     from tauext.files.provenance import write_json
-    from tauext.train.preparation import finished
+    from tauext_lab.baselines import finished
     from tauext_lab.evaluate.results_folder import evaluate_bundles
     from tauext_lab.report.page import write_report
     from tauext_lab.sim.collect import simulate_dataset

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tauext_lab.baselines import train_baselines
+from tauext_lab.baselines import finished, train_baselines
 from tauext_lab.sim.collect import simulate_dataset, simulate_recording
 from tauext_lab.sim.config import RigConfig
 
@@ -21,7 +21,7 @@ from tauext.fit.tail import FalseAlarmBudget, Promise
 from tauext.progress import Silent
 from tauext.recipes import RECIPES, baselines
 from tauext.robot.model_case import estimated_model
-from tauext.train.preparation import TrainingInput, finished, training_settings
+from tauext.train.preparation import TrainingInput, training_settings
 from tauext.train.stage import train_on_recordings
 
 EXACT = PAPER_CASES["exact"]

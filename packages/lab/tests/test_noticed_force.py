@@ -31,7 +31,7 @@ from tauext.errors import BundleError, ConfigError
 from tauext.robot.frames import wrench_frames
 from tauext.robot.read import load_tree
 from tauext.train.hits import even_ways, points
-from tauext.train.wrench import POSES, poses
+from tauext.train.wrench import ForceErrors, poses
 
 LIMITS, NEAR, LENGTH = [6.0, 3.0], [9.0, 4.0], 0.3
 
@@ -203,7 +203,7 @@ def test_an_evaluation_holds_it_over_its_test_recordings_or_says_why_not(arm_bun
 def test_a_bundle_keeps_poses_that_are_even_in_time():
     q = np.linspace(0, 6.3, 5000)[:, None] * np.ones(3)
     kept = np.array(poses(q))
-    assert kept.shape == (POSES, 3) and kept[0, 0] == 0 and kept[-1, 0] == 6.3
+    assert kept.shape == (ForceErrors.poses, 3) and kept[0, 0] == 0 and kept[-1, 0] == 6.3
     assert np.ptp(np.diff(kept[:, 0])) < 0.004
     assert poses(q[:5]) == np.round(q[:5], 3).tolist() and poses(q[:0]) == []
 

@@ -22,7 +22,7 @@ from tauext.errors import TauextError
 from tauext.progress import SILENT
 from tauext.train.fitting import observe, with_fit
 from tauext.train.network import assemble
-from tauext.train.preparation import Job, TrainingInput, prepare
+from tauext.train.preparation import TrainingInput, TrainingRun, prepare
 from tauext.train.stage import complete, fit_with_gain
 
 # --- Limits by each signal, and what a person reads of them.
@@ -75,13 +75,13 @@ class SignalLimits:
         }
 
 
-def signal_limits(job: Job, bundle: Bundle, source: str) -> SignalLimits | None:
+def signal_limits(run: TrainingRun, bundle: Bundle, source: str) -> SignalLimits | None:
     """Limits of a finished training; None: they are not tested on left-out recordings, or a joint never moved."""
-    other = job.facts.get("limits", {}).get("other_motion", {})
+    other = run.facts.get("limits", {}).get("other_motion", {})
     if "factor" not in other:
         return None
-    constants = np.array(job.constants.used) if job.constants is not None else 1.0
-    size = np.abs(constants) * np.concatenate([recording.tau for recording in job.training]).std(axis=0)
+    constants = np.array(run.constants.used) if run.constants is not None else 1.0
+    size = np.abs(constants) * np.concatenate([recording.tau for recording in run.training]).std(axis=0)
     watched = np.array(bundle.monitored)
     if not (size[watched] > 0).all():
         return None
@@ -170,7 +170,7 @@ def made_from(recording: Recording, source: str) -> Recording:
 # --- The comparison, after a training.
 
 
-def compare_signals(job: Job, bundle: Bundle, given: TrainingInput) -> None:
+def compare_signals(run: TrainingRun, bundle: Bundle, given: TrainingInput) -> None:
     """Note which signal of servos keeps the promise best, if limits of this training do not keep it in left-out motion.
 
     Each other signal that all recordings hold is trained with, and its limits are found and tested in the same way.
@@ -178,36 +178,36 @@ def compare_signals(job: Job, bundle: Bundle, given: TrainingInput) -> None:
     Args:
         given: with suspected touches: each signal would suspect other moments, those of its own errors among them.
     """
-    own_source = servo_of_recordings(job.training).torque_from.name
-    own = signal_limits(job, bundle, own_source)
+    own_source = servo_of_recordings(run.training).torque_from.name
+    own = signal_limits(run, bundle, own_source)
     if own is None or own.factor <= 1:
         return
     sources = other_sources([*given.training, *given.validation])
     if sources and len(given.training) < LEAST_RECORDINGS:
-        job.facts["limits"]["signals"] = {"sentence": not_compared(len(given.training))}
-        job.notes.append(job.facts["limits"]["signals"]["sentence"])
+        run.facts["limits"]["signals"] = {"sentence": not_compared(len(given.training))}
+        run.notes.append(run.facts["limits"]["signals"]["sentence"])
         return
     found: dict[str, SignalLimits | None] = {own_source: own}
-    for source in ([own_source] if sources and job.suspects else []) + sources:
+    for source in ([own_source] if sources and run.suspects else []) + sources:
         words = TORQUE_WORDS[source.replace("_", "-")]
-        job.say(f"training with the torque from the {words}, to compare")
+        run.say(f"training with the torque from the {words}, to compare")
         try:
-            found[source] = limits_by(source, given, job)
+            found[source] = limits_by(source, given, run)
         except TauextError as error:
-            job.notes.append(f"torque from the {words} cannot be compared: {error}")
+            run.notes.append(f"torque from the {words} cannot be compared: {error}")
     own, others = found.pop(own_source), [one for one in found.values() if one is not None]
     if own is None or (sources and not others):
         return
     words = comparison_sentence(own, others)
-    job.facts["limits"]["signals"] = {"compared": [one.facts() for one in (own, *others)], "sentence": words}
-    job.notes.append(words)
+    run.facts["limits"]["signals"] = {"compared": [one.facts() for one in (own, *others)], "sentence": words}
+    run.notes.append(words)
 
 
-def limits_by(source: str, given: TrainingInput, job: Job) -> SignalLimits | None:
-    """Limits of a training on these recordings with the torque from this signal, by the settings of a job."""
+def limits_by(source: str, given: TrainingInput, run: TrainingRun) -> SignalLimits | None:
+    """Limits of a training on these recordings with the torque from this signal, by the settings of a run."""
     training, validation = ([made_from(one, source) for one in some] for some in (given.training, given.validation))
     other = replace(given, training=training, validation=validation)
-    trained = prepare(other, job.config, job.out, SILENT)
+    trained = prepare(other, run.config, run.out, SILENT)
     setup, fit = fit_with_gain(trained, observe(trained))
     bundle = assemble(trained, with_fit(setup, fit))
     complete(trained, bundle, other, setup, fit)

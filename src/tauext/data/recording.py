@@ -253,6 +253,11 @@ class Recording:
         return float(self.t_ns[-1] - self.t_ns[0]) * 1e-9
 
     @property
+    def signals(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """t_ns, q, dq and tau, in the order of the core's functions."""
+        return self.t_ns, self.q, self.dq, self.tau
+
+    @property
     def time_s(self) -> np.ndarray:
         """Sample times counted from the first sample, (samples,) float64, [s]."""
         return (self.t_ns - self.t_ns[0]) * 1e-9

@@ -1,4 +1,4 @@
-"""From the results of the fits to a bundle."""
+"""Writes the results of fits into a bundle."""
 
 from __future__ import annotations
 
@@ -14,46 +14,8 @@ from tauext.errors import TrainingError
 from tauext.fit.network_training import TrainedNetwork
 from tauext.fit.prior_facts import friction_nm
 from tauext.fit.prior_terms import PriorFit
-from tauext.fit.training_set import LEAST_TORQUE_NM, Scaling, Setup, remainder
+from tauext.fit.training_set import LEAST_TORQUE_NM, Scaling, Setup
 from tauext.recipes import recipe_of
-
-# --- Size and correlation time of a fit's errors; rows within the correlation time are not independent.
-
-
-LONGEST_S = 2.0
-CORRELATED = 0.05
-"""Smaller correlations count as zero."""
-
-
-def error_memory_s(setup: Setup, recordings: Sequence[Recording], settings: _core.PriorSettings) -> np.ndarray:
-    """Correlation time of each joint's error, (n,), [s]: a period and twice the sum of its correlations.
-
-    Summed up to the first lag without correlation, LONGEST_S at most, as in the core's refit.
-    """
-    stride = setup.observer.network_stride
-    period_s = 1e-9 * setup.observer.sample_period_ns * stride
-    most = max(2, round(LONGEST_S / period_s))
-    n = setup.tree.size
-    products = np.zeros((most, n))
-    for recording in recordings:
-        signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
-        observation = _core.observe(setup.tree, setup.observer, *signals, settings)
-        left = remainder(observation)[np.flatnonzero(observation.warm.astype(bool))[::stride]]
-        for lag in range(min(most, len(left))):
-            products[lag] += (left[lag:] * left[: len(left) - lag]).sum(axis=0)
-    correlation = products / np.maximum(products[0], 1e-300)
-    gone = np.argmax(np.vstack([correlation < CORRELATED, np.ones(n, dtype=bool)]), axis=0)
-    inside = np.arange(most)[:, None] < gone
-    return period_s * np.maximum(1.0, 2 * (correlation * inside).sum(axis=0) - 1)
-
-
-# --- Writes the results of training into a bundle.
-
-
-REFUSED = 0.02
-"""Of a recording; more of it at another rate than a monitor bears is no jitter."""
-DRIFT_SPEED_RAD_S = 0.5
-"""A joint's friction at this speed is what its drift is measured by."""
 
 
 def build_setup(
@@ -167,19 +129,19 @@ def set_signal_ranges(
     bundle.rate_tolerance = rate_tolerance(recordings, bundle.observer)
 
 
-def rate_tolerance(recordings: Sequence[Recording], observer: _core.ObserverSettings) -> float:
+def rate_tolerance(recordings: Sequence[Recording], observer: _core.ObserverSettings, refused: float = 0.02) -> float:
     """Share of the sample period by which a monitor lets the mean step of a second differ from it, 0.05 to 0.15.
 
     It is the largest difference in these recordings, so that a monitor takes motion like theirs.
 
     Raises:
-        TrainingError: more than REFUSED of a recording differs by more than the largest tolerance.
+        TrainingError: more than the share `refused` of a recording differs by more than the largest tolerance.
     """
     largest, most = _core.RATE_TOLERANCE_RANGE
     for recording in recordings:
         means = _core.mean_steps(observer.sample_period_ns, observer.network_stride, recording.t_ns)
         off = np.abs(means - 1)
-        if (beyond := float((off > most).mean())) > REFUSED:
+        if (beyond := float((off > most).mean())) > refused:
             raise TrainingError(
                 f"recording {recording.name}: over {beyond:.0%} of it the mean time between samples differs by more "
                 f"than {most:.0%} from the sample period, {observer.sample_period_ns * 1e-6:.4g} ms; a monitor would "
@@ -199,13 +161,14 @@ def torque_at_rest(recording: Recording) -> np.ndarray:
 
 
 def set_drift(bundle: _core.Bundle, fit: PriorFit, config: DriftConfig) -> None:
-    """Let the bundle follow slow changes of friction and offset, within a share of the friction that the prior found.
+    """Let the bundle follow slow changes of friction and offset, within a share of the friction that the prior found at
+    0.5 rad/s.
 
     No torque freezes it yet, because the limits are still unknown; see freeze_drift.
     """
     drift = _core.DriftSettings()
     drift.time_constant_s = config.time_constant_s
-    size_nm = np.maximum(config.size_share * friction_nm(fit, DRIFT_SPEED_RAD_S), config.least_size_nm)
+    size_nm = np.maximum(config.size_share * friction_nm(fit, 0.5), config.least_size_nm)
     drift.size_nm = size_nm.tolist()
     drift.rate_share_per_s = config.rate_share_per_s
     drift.freeze_s = config.freeze_s

@@ -13,9 +13,6 @@ from tauext.fit.training_set import Setup, WindowSet
 # --- Adam on one flat vector of parameters.
 
 
-BETA_1, EPSILON = 0.9, 1e-8
-
-
 @dataclass(frozen=True)
 class Adam:
     """Running means m of the gradient and v of its square, corrected for their start at zero [Kingma2015]."""
@@ -33,11 +30,11 @@ class Adam:
     ) -> tuple[np.ndarray, Adam]:
         """Parameters (float64) and state after one step against the gradient; the old ones are left as they are."""
         steps = self.steps + 1
-        m = self.m + (1 - BETA_1) * (gradient - self.m)
+        m = self.m + (1 - 0.9) * (gradient - self.m)
         v = self.v + (1 - beta_2) * (np.square(gradient, dtype=np.float64) - self.v)
-        m_hat = m / (1 - BETA_1**steps)
+        m_hat = m / (1 - 0.9**steps)
         v_hat = v / (1 - beta_2**steps)
-        return parameters - learning_rate * m_hat / (np.sqrt(v_hat) + EPSILON), Adam(m, v, steps)
+        return parameters - learning_rate * m_hat / (np.sqrt(v_hat) + 1e-8), Adam(m, v, steps)
 
 
 # --- The network's gradient and output from the C++ core.

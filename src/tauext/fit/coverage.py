@@ -13,21 +13,25 @@ from tauext.data.recording import Recording
 from tauext.fit.regression import FOLDS
 from tauext.fit.training_set import Setup
 
-REACHES = (2, 3, 4, 5, 6, 8, 12)
-"""Within how many cells of a 64th of a turn a joint's position may be familiar: 11 to 68 degrees ..."""
-REACHES_TOGETHER = (1, 2, 3, 4, 6, 8)
-"""... and in a pair, in cells of a 32nd: as many."""
-MOST_FALSE = 0.002
-"""Largest share of left-out motion reported as unfamiliar by the position of a joint ..."""
-MOST_FALSE_TOGETHER = 0.005
-"""... and by those of all pairs."""
-SHORT_MIN = 10.0
-"""Less motion holds so few poses, [minutes], that a fifth of it hardly misses one: half of it is left out in turn, and
-the reach is the next wider one. On simulated arms 0.3 to 1.0 % of other motion was called unfamiliar after 5 minutes of
-training, and 1.4 to 5.3 % without."""
-LEAST_SPEED_RAD_S = 0.05
-"""Speed always allowed for joints that training hardly moved, so that noise is not reported."""
-LEAST_SPAN_M = 0.1
+
+@dataclass(frozen=True)
+class CoverageConfig:
+    """What motion counts as familiar; a wider reach reports less, also of motion whose errors are unknown."""
+
+    reaches: tuple[int, ...] = (2, 3, 4, 5, 6, 8, 12)
+    """Within how many cells of a 64th of a turn a joint's position may be familiar: 11 to 68 degrees ..."""
+    reaches_together: tuple[int, ...] = (1, 2, 3, 4, 6, 8)
+    """... and in a pair, in cells of a 32nd: as many."""
+    most_false: float = 0.002
+    """Largest share of left-out motion reported as unfamiliar by the position of a joint ..."""
+    most_false_together: float = 0.005
+    """... and by those of all pairs."""
+    short_min: float = 10.0
+    """Less motion holds so few poses, [minutes], that a fifth of it hardly misses one: half of it is left out in turn,
+    and the reach is the next wider one. On simulated arms 0.3 to 1.0 % of other motion was called unfamiliar after 5
+    minutes of training, and 1.4 to 5.3 % without."""
+    least_speed_rad_s: float = 0.05
+    """Speed always allowed for joints that training hardly moved, [rad/s], so that noise is not reported."""
 
 
 @dataclass(frozen=True)
@@ -62,13 +66,15 @@ class Motion:
         return Motion(self.q[at], self.dq[at], self.lasting[at])
 
 
-def fit_coverage(setup: Setup, recordings: Sequence[Recording]) -> CoverageFit:
+def fit_coverage(
+    setup: Setup, recordings: Sequence[Recording], config: CoverageConfig = CoverageConfig()
+) -> CoverageFit:
     """Speeds and positions of this motion, positions as finely as this much motion allows.
 
     Positions near a seen one are familiar too: within the least reach of each joint with which, of every fifth of the
-    motion beside the other four, no more than MOST_FALSE would be called unfamiliar, and of pairs of joints, all alike,
-    MOST_FALSE_TOGETHER. Minutes of many joints leave gaps between what was seen; see SHORT_MIN. Where not even the
-    widest will do, a position (pairs) has no information.
+    motion beside the other four, no more than `most_false` would be called unfamiliar, and of pairs of joints, all
+    alike, `most_false_together`. Minutes of many joints leave gaps between what was seen; see `short_min`. Where not
+    even the widest will do, a position (pairs) has no information.
 
     Args:
         recordings: free motion, at least one sample.
@@ -76,7 +82,7 @@ def fit_coverage(setup: Setup, recordings: Sequence[Recording]) -> CoverageFit:
     motion = Motion.of(recordings, setup.observer.network_stride)
     slides = np.array([link.type == _core.JointType.prismatic for link in setup.tree.links])
     nothing = np.zeros(len(slides), dtype=int)
-    short = total_s(recordings) < 60 * SHORT_MIN
+    short = total_s(recordings) < 60 * config.short_min
     count = 2 if short else FOLDS
     if len(motion.q) < count:
         return CoverageFit(seen(motion, slides, nothing, 0), 0.0)
@@ -99,12 +105,12 @@ def fit_coverage(setup: Setup, recordings: Sequence[Recording]) -> CoverageFit:
     def own(joint: int) -> int:
         """The reach of a joint by itself."""
         only = (np.arange(len(slides)) == joint).astype(int)
-        return least(REACHES, lambda cells: reported(cells * only, 0), MOST_FALSE)
+        return least(config.reaches, lambda cells: reported(cells * only, 0), config.most_false)
 
     reach = np.array([own(joint) for joint in range(len(slides))])
     together = 0
     if len(slides) > 1:
-        together = least(REACHES_TOGETHER, lambda cells: reported(nothing, cells), MOST_FALSE_TOGETHER)
+        together = least(config.reaches_together, lambda cells: reported(nothing, cells), config.most_false_together)
     return CoverageFit(seen(motion, slides, reach, together), reported(reach, together, speeds=True))
 
 
@@ -119,10 +125,10 @@ def seen(motion: Motion, slides: np.ndarray, reach: np.ndarray, together: int) -
     n = len(slides)
     low, high = motion.q.min(axis=0), motion.q.max(axis=0)
     settings = _core.CoverageSettings()
-    settings.fastest_rad_s = np.maximum(motion.lasting.max(axis=0), LEAST_SPEED_RAD_S).tolist()
+    settings.fastest_rad_s = np.maximum(motion.lasting.max(axis=0), CoverageConfig.least_speed_rad_s).tolist()
     settings.turns = [0 if slide else 1 for slide in slides]
     settings.centre_rad = np.where(slides, (low + high) / 2, 0.0).tolist()
-    settings.span_rad = np.where(slides, np.maximum(2 * (high - low), LEAST_SPAN_M), 2 * np.pi).tolist()
+    settings.span_rad = np.where(slides, np.maximum(2 * (high - low), 0.1), 2 * np.pi).tolist()
     settings.seen, settings.reach = [0] * n, reach.tolist()
     settings.seen_together = [0] * (n * (n - 1) // 2 * settings.PAIR_CELLS if together else 0)
     settings.reach_together = together

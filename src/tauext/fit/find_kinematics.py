@@ -17,14 +17,43 @@ from tauext.fit.stable_choice import ranked, simplest
 from tauext.fit.training_set import Setup
 from tauext.robot.inertial import PARAMETERS, with_inertial_parameters
 
+
+@dataclass(frozen=True)
+class ArmSearch:
+    """How an arm is found in its motion; more motion and more candidates find it in harder cases, and take longer."""
+
+    sample_s: float = 120.0
+    """Motion on which candidates are compared, [s] ..."""
+    piece_s: float = 10.0
+    """... in pieces of this length, [s], spread evenly over the recordings."""
+    row_s: float = 0.04
+    """Time between rows, [s]: r changes little within it, as 1/K0 is 0.05 s."""
+    ridge: float = 1e-4
+    """Ridge of all fits of candidates."""
+    least_rows: int = 250
+    """Fewest rows, 10 s of motion: an arm has some seventy unknowns."""
+    beam: int = 8
+    """Candidates that are kept from joint to joint ..."""
+    refined: int = 3
+    """... and those of them whose lengths are fitted ..."""
+    steps: int = 12
+    """... in at most so many Gauss-Newton steps."""
+    first_shift_m: float = 0.1
+    """Standard deviation of the first lengths, [m]: at 0, some have no slope."""
+    most_turn_rad: float = 0.3
+    """Bounds of one step: of a turn, [rad], a shift, [m], and the logarithm of a scale."""
+    most_shift_m: float = 0.2
+    most_ratio: float = 0.5
+    gains_little: float = 1e-3
+    """Share of the squared error: a smaller gain ends the steps; among arms this similar, the first is taken."""
+    axes_tie: float = 1e-6
+    """Share of the squared error: mirror images, and axes on which the torques do not depend, differ by rounding
+    alone."""
+    oblique_helps: float = 0.3
+    """Axes stay at right angles unless the error falls by this share: few arms are built otherwise."""
+
+
 # --- A thin sample of free motion on which candidate arms are compared.
-
-
-SAMPLE_S = 120.0
-PIECE_S = 10.0
-ROW_S = 0.04  # r changes little within it: 1/K0 is 0.05 s
-RIDGE = 1e-4
-LEAST_ROWS = 250  # 10 s of motion: an arm has some seventy unknowns
 
 
 class KinematicSample:
@@ -45,8 +74,11 @@ class KinematicSample:
         recordings: Sequence[Recording],
         own: Sequence[Sequence[_core.Term]],
         widths_rad: Sequence[float],
+        config: ArmSearch = ArmSearch(),
     ) -> None:
+        self.config = config
         self.joints, self.gravity = tree.size, tuple(tree.gravity)
+        self.names = tuple(link.joint_name for link in tree.links)
         self.observer = _core.ObserverSettings(
             gain_per_s=observer.gain_per_s,
             timing=_core.TorqueTiming.averaged if observer.network_stride > 1 else observer.timing,
@@ -60,17 +92,16 @@ class KinematicSample:
         settings.widths_rad = list(widths_rad)
         settings.terms = [term for group in own for term in group]
         settings.weights = [0.0] * (self.joints * len(settings.terms))
-        step = max(1, round(ROW_S / (self.observer.sample_period_ns * 1e-9)))
-        for piece in pieces(recordings, SAMPLE_S, PIECE_S):
+        step = max(1, round(config.row_s / (self.observer.sample_period_ns * 1e-9)))
+        for piece in pieces(recordings, config.sample_s, config.piece_s):
             thin = thinned(piece, observer.network_stride)
-            signals = (thin.t_ns, thin.q, thin.dq, thin.tau)
-            observation = _core.observe(tree, self.observer, *signals)
+            observation = _core.observe(tree, self.observer, *thin.signals)
             rows = np.flatnonzero(observation.warm.astype(bool))[::step].astype(np.int64)
             if len(rows) < FOLDS:
                 continue
             self.pieces.append((thin, rows))
             targets.append(observation.residual[rows])
-            values.append(_core.prior_regressors(tree, self.observer, settings, *signals, rows))
+            values.append(_core.prior_regressors(tree, self.observer, settings, *thin.signals, rows))
         if not targets:
             self.rows = 0
             return
@@ -79,6 +110,10 @@ class KinematicSample:
         ends = np.cumsum([len(group) for group in own])
         self.own = [value[:, end - len(group) : end] for group, end in zip(own, ends, strict=True)]
         self._folds = np.array_split(np.arange(self.rows), FOLDS)
+
+    def arm(self, kinematics: Kinematics) -> _core.Tree:
+        """The links of an arm on the same base, without mass."""
+        return kinematics.tree(self.names, self.gravity)
 
     def regressors(self, tree: _core.Tree, of: Sequence[int], parameters: Sequence[int]) -> np.ndarray:
         """Derivative of r by these parameters of these links, over the whole sample: (rows, n, links * parameters).
@@ -152,10 +187,6 @@ def thinned(recording: Recording, stride: int) -> Recording:
 # --- An arm without a description: axes and places of its joints, and links.
 
 
-ASIDE_TIE = 0.1
-"""Of the components of a unit vector: (0, 0, 1) is as far from x as from y, and rounding must not choose."""
-
-
 @dataclass(frozen=True)
 class Kinematics:
     """A serial arm of revolute joints at q = 0, in a frame with z up; only what moves the torques is determined.
@@ -200,31 +231,13 @@ class Kinematics:
 def frame_of(axis: np.ndarray) -> np.ndarray:
     """A rotation whose third column is this unit vector, (3, 3)."""
     off = np.abs(axis)
-    aside = np.eye(3)[np.flatnonzero(off <= off.min() + ASIDE_TIE)[0]]
+    aside = np.eye(3)[np.flatnonzero(off <= off.min() + 0.1)[0]]  # of x and y, as far from z, rounding must not choose
     x = np.cross(aside, axis)
     x /= np.linalg.norm(x)
     return np.column_stack([x, np.cross(axis, x), axis])
 
 
 # --- Finds the axes and link lengths of an arm that has no model, from what its joints' torques show.
-
-
-DIRECTIONS = np.vstack([np.eye(3), -np.eye(3)])
-"""Axes of nearly all arms are at right angles at q = 0; others are found from the nearest of these."""
-BEAM = 8
-REFINED = 3
-STEPS = 12
-FIRST_SHIFT_M = 0.1
-MOST_TURN_RAD, MOST_SHIFT_M, MOST_RATIO = 0.3, 0.2, 0.5  # of one step
-DELTA = 1e-4  # [rad] or [m] of the numerical derivative
-GAINS_LITTLE = 1e-3
-"""Share of the squared error: a smaller gain ends the steps; among arms this similar, the first is taken."""
-AXES_TIE = 1e-6
-"""Of the squared error: mirror images, and axes on which the torques do not depend, differ by rounding alone."""
-OBLIQUE_HELPS = 0.3
-"""Axes stay at right angles unless the error falls by this share: few arms are built otherwise."""
-
-ABOUT_ITS_ORIGIN = range(1, ROTOR)  # first moments and inertia: all that torques reveal if joints meet in one point
 
 
 @dataclass(frozen=True)
@@ -245,7 +258,6 @@ def can_be_found(setup: Setup) -> bool:
 
 def find_kinematics(
     sample: KinematicSample,
-    joints: Sequence[str],
     report: Callable[[str], None] | None = None,
     one_unit: bool = True,
     start: Kinematics | None = None,
@@ -253,10 +265,10 @@ def find_kinematics(
     """The serial arm of revolute joints whose inertia explains r best beside each joint's friction.
 
     Gravity's torques depend on the directions of the axes and on a first moment a link, whatever the links' lengths,
-    so directions come first: joint by joint from the base, among those at right angles, the best few being kept
-    (beam search). Lengths and oblique axes follow by Gauss-Newton steps in all unknowns at once; r is linear in
-    the inertial parameters. The arm found is one that moves and weighs like the true one: an axis that its torques do
-    not depend on, and a shift along an axis, may be any.
+    so directions come first: joint by joint from the base, among those at right angles, as in nearly all arms at q = 0,
+    the best few being kept (beam search). Lengths and oblique axes follow by Gauss-Newton steps in all unknowns at
+    once; r is linear in the inertial parameters. The arm found is one that moves and weighs like the true one: an axis
+    that its torques do not depend on, and a shift along an axis, may be any.
 
     Args:
         report: receives one line per stage.
@@ -268,32 +280,32 @@ def find_kinematics(
     if start is not None:
         best = [Candidate(start, np.inf, np.ones(sample.joints))]
     else:
-        best = directions(sample, joints)
+        best = directions(sample)
         report(f"axes at right angles: error {np.sqrt(best[0].error):.1%} of r")
-    tried = [refined(sample, joints, one, free) for one in best[:REFINED]]
-    found = simplest(tried, lambda one: one.error, GAINS_LITTLE)
+    tried = [refined(sample, one, free) for one in best[: sample.config.refined]]
+    found = simplest(tried, lambda one: one.error, sample.config.gains_little)
     report(f"with link lengths: {np.sqrt(found.error):.1%}")
-    oblique = refined(sample, joints, found, free | {"axes"})
+    oblique = refined(sample, found, free | {"axes"})
     report(f"with oblique axes: {np.sqrt(oblique.error):.1%}")
-    return oblique if oblique.error < (1 - OBLIQUE_HELPS) ** 2 * found.error else found
+    return oblique if oblique.error < (1 - sample.config.oblique_helps) ** 2 * found.error else found
 
 
-def directions(sample: KinematicSample, joints: Sequence[str]) -> list[Candidate]:
+def directions(sample: KinematicSample) -> list[Candidate]:
     """Arms whose axes meet in one point, the best first."""
     n = sample.joints
-    rotors = sample.regressors(arm(np.zeros((0, 3)), n).tree(joints, sample.gravity), range(n), [ROTOR])
+    rotors = sample.regressors(sample.arm(arm(np.zeros((0, 3)), n)), range(n), [ROTOR])
     beam: list[tuple[float, np.ndarray, np.ndarray]] = [(np.inf, np.zeros((0, 3)), rotors)]
     for link in range(n):
         longer = []
         for _, axes, columns in beam:
-            for direction in DIRECTIONS:
+            for direction in np.vstack([np.eye(3), -np.eye(3)]):
                 tried = np.vstack([axes, direction])
                 if not faces_x(tried):
                     continue
-                of_link = sample.regressors(arm(tried, n).tree(joints, sample.gravity), [link], ABOUT_ITS_ORIGIN)
+                of_link = sample.regressors(sample.arm(arm(tried, n)), [link], range(1, ROTOR))
                 together = np.concatenate([columns, of_link], axis=2)
-                longer.append((sample.regression(together).score(RIDGE), tried, together))
-        beam = ranked(longer, lambda one: one[0], AXES_TIE, BEAM)
+                longer.append((sample.regression(together).score(sample.config.ridge), tried, together))
+        beam = ranked(longer, lambda one: one[0], sample.config.axes_tie, sample.config.beam)
     return [Candidate(arm(axes, n), error, np.ones(n)) for error, axes, _ in beam]
 
 
@@ -309,7 +321,7 @@ def arm(axes: np.ndarray, joints: int) -> Kinematics:
     return Kinematics(axes, np.zeros_like(axes))
 
 
-def refined(sample: KinematicSample, joints: Sequence[str], start: Candidate, free: frozenset[str]) -> Candidate:
+def refined(sample: KinematicSample, start: Candidate, free: frozenset[str]) -> Candidate:
     """The same after Gauss-Newton steps in lengths; it is at least as good on left-out motion.
 
     Args:
@@ -318,20 +330,20 @@ def refined(sample: KinematicSample, joints: Sequence[str], start: Candidate, fr
     n = sample.joints
     now = start.kinematics
     if not now.origins.any():  # there some lengths have no slope
-        shifts = np.random.default_rng(0).normal(size=(n, 2)) * FIRST_SHIFT_M
+        shifts = np.random.default_rng(0).normal(size=(n, 2)) * sample.config.first_shift_m
         now = now.moved(np.zeros((n, 2)), shifts)
-    state = Fitted.of(sample, joints, now, start.scales)
-    for _ in range(STEPS):
-        step = state.step(sample, joints, free)
+    state = Fitted.of(sample, now, start.scales)
+    for _ in range(sample.config.steps):
+        step = state.step(sample, free)
         for share in (1.0, 0.5, 0.2, 0.05):
             turns, shifts, ratios = (share * part for part in step)
-            tried = Fitted.of(sample, joints, state.kinematics.moved(turns, shifts), state.scales * np.exp(ratios))
+            tried = Fitted.of(sample, state.kinematics.moved(turns, shifts), state.scales * np.exp(ratios))
             if tried.error < state.error:
                 break
         else:
             break
         gained, state = 1 - tried.error / state.error, tried
-        if gained < GAINS_LITTLE:
+        if gained < sample.config.gains_little:
             break
     return Candidate(state.kinematics, state.error, state.scales) if state.error < start.error else start
 
@@ -347,44 +359,43 @@ class Fitted:
     parameters: np.ndarray  # (n, 11)
 
     @classmethod
-    def of(cls, sample: KinematicSample, joints: Sequence[str], kinematics: Kinematics, scales: np.ndarray) -> Fitted:
+    def of(cls, sample: KinematicSample, kinematics: Kinematics, scales: np.ndarray) -> Fitted:
         n = sample.joints
-        columns = sample.regressors(kinematics.tree(joints, sample.gravity), range(n), range(len(PARAMETERS)))
+        columns = sample.regressors(sample.arm(kinematics), range(n), range(len(PARAMETERS)))
         regression = sample.regression(columns, scales)
         of_links = np.arange(-n * len(PARAMETERS), 0)
         regression.bound(of_links, np.full(len(of_links), -LARGEST), np.full(len(of_links), LARGEST))
-        solution = regression.solve(regression.whole, RIDGE)
+        solution = regression.solve(regression.whole, sample.config.ridge)
         parameters = solution[-n * len(PARAMETERS) :].reshape(n, -1)
-        return cls(kinematics, scales, columns, regression.score(RIDGE), parameters)
+        return cls(kinematics, scales, columns, regression.score(sample.config.ridge), parameters)
 
-    def step(
-        self, sample: KinematicSample, joints: Sequence[str], free: frozenset[str]
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def step(self, sample: KinematicSample, free: frozenset[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Turns and shifts, (n, 2), and logarithms of scales, (n,), that explain most of r, all else refitted."""
-        n, base = sample.joints, self._predicted(sample, joints, self.kinematics)
+        n, base = sample.joints, self._predicted(sample, self.kinematics)
         unknowns = np.eye(4 * n)[0 if "axes" in free else 2 * n :]
         slopes = []
         for unknown in unknowns:
-            turns, shifts = (DELTA * unknown).reshape(2, n, 2)
-            slopes.append((self._predicted(sample, joints, self.kinematics.moved(turns, shifts)) - base) / DELTA)
+            turns, shifts = (1e-4 * unknown).reshape(2, n, 2)
+            slopes.append((self._predicted(sample, self.kinematics.moved(turns, shifts)) - base) / 1e-4)
         of_scales = np.eye(n)[:, :, None] * base.T[None] if "scales" in free else np.zeros((0, n, len(base)))
         both = [self.columns, np.stack(slopes, axis=2), of_scales.transpose(2, 1, 0)]
         regression = sample.regression(np.concatenate(both, axis=2), self.scales)
         found = len(unknowns) + len(of_scales)
-        solution = regression.solve(regression.whole, RIDGE)[-found:]
+        solution = regression.solve(regression.whole, sample.config.ridge)[-found:]
         turns, shifts = (solution[: len(unknowns)] @ unknowns).reshape(2, n, 2)
         ratios = np.zeros(n)
         if len(of_scales):
             ratios = solution[len(unknowns) :]
+        most = sample.config
         return (
-            np.clip(turns, -MOST_TURN_RAD, MOST_TURN_RAD),
-            np.clip(shifts, -MOST_SHIFT_M, MOST_SHIFT_M),
-            np.clip(ratios, -MOST_RATIO, MOST_RATIO),
+            np.clip(turns, -most.most_turn_rad, most.most_turn_rad),
+            np.clip(shifts, -most.most_shift_m, most.most_shift_m),
+            np.clip(ratios, -most.most_ratio, most.most_ratio),
         )
 
-    def _predicted(self, sample: KinematicSample, joints: Sequence[str], kinematics: Kinematics) -> np.ndarray:
+    def _predicted(self, sample: KinematicSample, kinematics: Kinematics) -> np.ndarray:
         """Contribution of its inertia to r with these kinematics, (rows, n)."""
-        links = kinematics.tree(joints, sample.gravity).links
+        links = sample.arm(kinematics).links
         extra = np.zeros_like(self.parameters)  # without it, a fitted mass or rotor may be one that no link can have
         moments = np.linalg.norm(self.parameters[:, FIRST_MOMENT], axis=1)
         extra[:, MASS] = np.maximum(0.0, np.maximum(1.0, moments**2 / LARGEST_SPREAD) - self.parameters[:, MASS])

@@ -266,8 +266,7 @@ def apply_gate(bundle: _core.Bundle, validation: Sequence[Recording], margin: fl
     n = bundle.joints
     prior, both, samples = np.zeros(n), np.zeros(n), 0
     for recording in validation:
-        signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
-        estimates = _core.estimate(bundle, *signals, threads, recording.temperature)
+        estimates = _core.estimate(bundle, *recording.signals, threads, recording.temperature)
         healthy = estimates["health"] == OK
         prior += ((estimates["residual"] - estimates["prior"])[healthy] ** 2).sum(axis=0)
         both += (estimates["tau_ext"][healthy] ** 2).sum(axis=0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from tauext import _core
 from tauext.config import PriorConfig
 from tauext.data.recording import Recording
 from tauext.data.servo import derives_velocity
-from tauext.fit.find_kinematics import LEAST_ROWS, Kinematics, KinematicSample, can_be_found, find_kinematics
+from tauext.fit.find_kinematics import ArmSearch, Kinematics, KinematicSample, can_be_found, find_kinematics
 from tauext.fit.prior_terms import CORRECTED, ESTIMATED, Kind, PriorFit, has_model, idle_widths, own_terms, shared_terms
 from tauext.fit.regression import LEAST_SQUARE
 from tauext.fit.ridge import Regressors, fit_ridge
@@ -21,11 +21,35 @@ from tauext.fit.stable_choice import simplest
 from tauext.fit.temperature import with_temperature
 from tauext.fit.training_set import Setup, with_presliding
 
+
+@dataclass(frozen=True)
+class RippleConfig:
+    """Which torque ripples of motor and gear are found; more motion shows weaker ones, and takes longer."""
+
+    most_cycles: int = 400
+    """Most cycles per turn that are tried."""
+    least_gear_cycles: int = 5
+    """Fewest cycles per turn where a model explains gravity: lower frequencies are errors of gravity, not a gear."""
+    data_s: float = 300.0
+    """This much motion is enough, [s], and the search is slow ..."""
+    joints_s: float = 600.0
+    """... for each joint, so this time is divided by their number, [s] ..."""
+    enough_s: float = 120.0
+    """... down to this, [s]."""
+    least_s: float = 45.0
+    """In less motion noise can pass for a ripple, [s]: none is searched for."""
+    share: float = 0.03
+    """Least share of the remainder's sum of squares that a ripple explains."""
+    outstands: float = 5.0
+    """Least ratio of what a ripple explains to what the median number of cycles explains."""
+    alias_tie: float = 1e-6
+    """An encoder of N counts a turn shows k and N - k cycles as the same, but for rounding of this share: the fewer are
+    taken."""
+    helps: float = 0.01
+    """A ripple is kept if it lowers the error on left-out motion by this share; in minutes, noise can pass for one."""
+
+
 # --- Textbook friction, the baseline of the prior.
-
-
-SMOOTHING_RAD_S = 0.03
-"""Smoothing of the sign of the speed: above the noise of a differentiated encoder, small against any motion."""
 
 
 def fit_friction(setup: Setup, recordings: Sequence[Recording], **settings: object) -> PriorFit:
@@ -33,8 +57,9 @@ def fit_friction(setup: Setup, recordings: Sequence[Recording], **settings: obje
 
     .. math:: \tau_f = c + v \dot q + k \tanh(\dot q / 0.03\,\mathrm{rad/s})
 
-    each through the observer's filter. The model is used unchanged, so its errors stay in r. Without a model, r
-    contains all of gravity and inertia, which three numbers per joint cannot represent: such a fit is useless.
+    each through the observer's filter. The sign of the speed is smoothed above the noise of a differentiated encoder,
+    over a speed that is small against any motion. The model is used unchanged, so its errors stay in r. Without a
+    model, r contains all of gravity and inertia, which three numbers per joint cannot represent.
 
     Args:
         settings: of the prior; unused here.
@@ -46,7 +71,7 @@ def fit_friction(setup: Setup, recordings: Sequence[Recording], **settings: obje
         [
             _core.Term(Kind.constant, joint),
             _core.Term(Kind.viscous, joint),
-            _core.Term(Kind.coulomb, joint, speed=SMOOTHING_RAD_S),
+            _core.Term(Kind.coulomb, joint, speed=0.03),
         ]
         for joint in range(setup.tree.size)
     ]
@@ -56,54 +81,40 @@ def fit_friction(setup: Setup, recordings: Sequence[Recording], **settings: obje
 # --- Torque ripple of motor and gear, found in the residual of a fit.
 
 
-MOST_CYCLES = 400
-RIPPLE_DATA_S = 300.0  # this much motion is enough to find a ripple, and the search is slow ...
-RIPPLE_JOINTS_S = 600.0  # ... for each joint, so this is divided by their number, down to RIPPLE_ENOUGH_S
-RIPPLE_ENOUGH_S = 120.0
-RIPPLE_LEAST_S = 45.0  # in less motion, noise can pass for a ripple
-AT_A_TIME = 2
-"""Joints."""
-CYCLES_AT_A_TIME = 50
-"""Numbers of cycles of a joint: all of them take hundreds of MB."""
-RIPPLE_SHARE, RIPPLE_OUTSTANDS = 0.03, 5.0
-ALIAS_TIE = 1e-6
-"""An encoder of N counts a turn shows k and N - k cycles as the same, but for rounding: the fewer are taken."""
-
-
 def find_ripple(
     setup: Setup,
     recordings: Sequence[Recording],
     fit: PriorFit,
     known: Sequence[Sequence[int]],
     least_cycles: int = 1,
+    config: RippleConfig = RippleConfig(),
 ) -> list[list[int]]:
     """For each joint, the cycles per turn with a distinct ripple of motor and gear in the residual of a fit.
 
     Every whole number of cycles is tried: the share of the remainder's sum of squares that its sine and cosine,
-    filtered like the observer, explain by themselves. A number is a ripple if it explains RIPPLE_SHARE and
-    RIPPLE_OUTSTANDS times as much as the median number.
+    filtered like the observer, explain by themselves. A number is a ripple if it explains `share` and `outstands`
+    times as much as the median number.
 
     Args:
         known: cycles that the fit already contains.
         least_cycles: fewer a turn are no ripple.
     """
     n = setup.tree.size
-    if sum(recording.duration_s for recording in recordings) < RIPPLE_LEAST_S:
+    if sum(recording.duration_s for recording in recordings) < config.least_s:
         return [[] for _ in range(n)]
     energy = np.zeros(n)
-    moments, squares = np.zeros((n, MOST_CYCLES, 2)), np.zeros((n, MOST_CYCLES, 2))
-    looked_at_s, data_s = 0.0, min(RIPPLE_DATA_S, max(RIPPLE_JOINTS_S / n, RIPPLE_ENOUGH_S))
+    moments, squares = np.zeros((n, config.most_cycles, 2)), np.zeros((n, config.most_cycles, 2))
+    looked_at_s, data_s = 0.0, min(config.data_s, max(config.joints_s / n, config.enough_s))
     for recording in recordings:
         if looked_at_s >= data_s:
             break
         looked_at_s += recording.duration_s
-        signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
-        observation = _core.observe(setup.tree, setup.observer, *signals, fit.settings)
-        rows = np.flatnonzero(observation.warm.astype(bool))[:: setup.observer.network_stride].astype(np.int64)
+        observation, rows = setup.observe(recording, fit.settings)
         left = (observation.residual - observation.prior)[rows]
         energy += (left**2).sum(axis=0)
-        with ThreadPoolExecutor(min(setup.threads, AT_A_TIME)) as pool:
-            each = pool.map(lambda joint, r=recording, k=rows, x=left: _of_joint(setup, r, k, x, joint), range(n))
+        with ThreadPoolExecutor(min(setup.threads, 2)) as pool:  # two joints at a time: each takes much memory
+            of_joint = partial(_of_joint, setup, recording, rows, left, config.most_cycles)
+            each = pool.map(of_joint, range(n))
             for joint, (moment, square) in enumerate(each):
                 moments[joint] += moment
                 squares[joint] += square
@@ -111,27 +122,26 @@ def find_ripple(
     explained[:, : least_cycles - 1] = 0
     found = []
     for joint in range(n):
-        best = int(np.flatnonzero(explained[joint] >= (1 - ALIAS_TIE) * explained[joint].max())[0])
-        stands_out = explained[joint, best] > RIPPLE_OUTSTANDS * np.median(explained[joint])
-        matters = explained[joint, best] > RIPPLE_SHARE * energy[joint]
+        best = int(np.flatnonzero(explained[joint] >= (1 - config.alias_tie) * explained[joint].max())[0])
+        stands_out = explained[joint, best] > config.outstands * np.median(explained[joint])
+        matters = explained[joint, best] > config.share * energy[joint]
         found.append([best + 1] if stands_out and matters and best + 1 not in known[joint] else [])
     return found
 
 
 def _of_joint(
-    setup: Setup, recording: Recording, rows: np.ndarray, left: np.ndarray, joint: int
+    setup: Setup, recording: Recording, rows: np.ndarray, left: np.ndarray, most_cycles: int, joint: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Products of each number's sine and cosine with the joint's residual, and their squares: (MOST_CYCLES, 2)."""
-    signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
-    moment, square = np.zeros((2, MOST_CYCLES, 2))
-    for first in range(0, MOST_CYCLES, CYCLES_AT_A_TIME):
-        some = range(first, min(first + CYCLES_AT_A_TIME, MOST_CYCLES))
+    """Products of each number's sine and cosine with the joint's residual, and their squares, (most_cycles, 2)."""
+    moment, square = np.zeros((2, most_cycles, 2))
+    for first in range(0, most_cycles, 50):  # all of them at once take hundreds of MB
+        some = range(first, min(first + 50, most_cycles))
         settings = _core.PriorSettings()
         settings.terms = [
             _core.Term(_core.TermKind.ripple, joint, b=cycles + 1, form=form) for cycles in some for form in (0, 1)
         ]
         settings.weights = [0.0] * (setup.tree.size * len(settings.terms))
-        values = _core.prior_regressors(setup.tree, setup.observer, settings, *signals, rows)
+        values = _core.prior_regressors(setup.tree, setup.observer, settings, *recording.signals, rows)
         moment[some] = (values.T @ left[:, joint]).reshape(-1, 2)
         square[some] = np.einsum("rm,rm->m", values, values).reshape(-1, 2)
     return moment, square
@@ -140,17 +150,13 @@ def _of_joint(
 # --- Play between gear and load: the joints that have it, and the presliding width of its state.
 
 
-HELPS = 0.01
-"""A joint has play if that lowers its error on left-out motion by this share, as for ripples."""
-
-WIDTH_TIE = 0.002
-"""Share of the error: among widths this similar the narrowest is taken, hence the smallest play."""
-
 Play = tuple[int | None, ...]
 """Index of each joint's width; None: no visible play."""
 
 
-def find_play(fit: PriorFit, fitted: Callable[[Play], PriorFit]) -> tuple[Play, PriorFit]:
+def find_play(
+    fit: PriorFit, fitted: Callable[[Play], PriorFit], least: float = 0.01, tie: float = 0.002
+) -> tuple[Play, PriorFit]:
     """The play of each joint and the fit with it: every width is tried at all joints at once; each joint keeps the
     best one.
 
@@ -160,6 +166,8 @@ def find_play(fit: PriorFit, fitted: Callable[[Play], PriorFit]) -> tuple[Play, 
     Args:
         fit: without play.
         fitted: the same with this one.
+        least: share by which play lowers a joint's error on left-out motion.
+        tie: share of the error: among widths this similar the narrowest is taken, hence the smallest play.
     """
     joints, widths = len(fit.error_nm), range(len(fit.settings.widths_rad))
     none: Play = (None,) * joints
@@ -167,13 +175,13 @@ def find_play(fit: PriorFit, fitted: Callable[[Play], PriorFit]) -> tuple[Play, 
     if not widths:
         return none, fit
     errors = np.array([fitted((width,) * joints).error_nm for width in widths])
-    best = [simplest(widths, of_joint.__getitem__, WIDTH_TIE) for of_joint in errors.T.tolist()]
-    helps = errors.min(axis=0) < (1 - HELPS) * fit.error_nm
+    best = [simplest(widths, of_joint.__getitem__, tie) for of_joint in errors.T.tolist()]
+    helps = errors.min(axis=0) < (1 - least) * fit.error_nm
     play: Play = tuple(int(width) if better else None for width, better in zip(best, helps, strict=True))
     for joint in [j for j, width in enumerate(play) if width is not None]:
         # Another joint's play may have been what made the ridge too strong for this one.
         without: Play = tuple(None if j == joint else width for j, width in enumerate(play))
-        if fitted(without).error_nm[joint] * (1 - HELPS) <= fitted(play).error_nm[joint]:
+        if fitted(without).error_nm[joint] * (1 - least) <= fitted(play).error_nm[joint]:
             play = without
     return play, fit if play == none else fitted(play)
 
@@ -185,23 +193,6 @@ def play_sentence(play: Play, widths_rad: Sequence[float], joints: Sequence[str]
 
 
 # --- The prior.
-
-
-RIPPLE_HELPS = 0.01
-"""A ripple is kept if it lowers the error on left-out motion by this share; in minutes, noise can pass for one."""
-FOUND_ARM_COSTS = 0.1
-"""Sines and cosines replace an arm found in the motion if they explain left-out motion better by this share."""
-BEYOND = 1.2
-"""Load terms are valid up to this multiple of the arm's largest own weight in training."""
-USUAL_SHARE, WEIGHS = 0.05, 0.05
-"""Share of a load in the friction of a strain-wave gear; and the share of a joint's friction that makes it visible."""
-LOCAL_MEMORY_HELPS = 0.005
-"""Friction has a part with local memory where that lowers the error on left-out motion by this share, in the mean over
-the joints. The gears of an arm are alike, so its joints are judged together; a joint whose error grows by as much has
-none."""
-MOVES_RAD_S = 0.05
-LOAD_TERMS = (_core.TermKind.load, _core.TermKind.load_presliding)
-LEAST_CYCLES = 5  # per turn: lower frequencies are gravity errors, not a gear
 
 
 @dataclass(frozen=True)
@@ -245,13 +236,14 @@ def fit_prior(
         inertia, fit = find_inertia(setup, recordings, config, report or (lambda line: None), known)
     ripple: list[list[int]] = [[] for _ in range(setup.tree.size)]
     fit = fit or fit_terms(setup, recordings, config, ripple, inertia)
+    least_cycles = RippleConfig.least_gear_cycles if inertia.tree or has_model(setup) else 1
     for _ in range(config.most_ripples):
-        found = find_ripple(setup, recordings, fit, ripple, LEAST_CYCLES if inertia.tree or has_model(setup) else 1)
+        found = find_ripple(setup, recordings, fit, ripple, least_cycles)
         if not any(found):
             break
         tried = [known + new for known, new in zip(ripple, found, strict=True)]
         more = fit_terms(setup, recordings, config, tried, inertia)
-        helps = more.error_nm < (1 - RIPPLE_HELPS) * fit.error_nm  # on motion left out of the fit
+        helps = more.error_nm < (1 - RippleConfig.helps) * fit.error_nm  # on motion left out of the fit
         kept = [a if better else b for a, b, better in zip(tried, ripple, helps, strict=True)]
         if kept == ripple:
             break
@@ -293,12 +285,20 @@ def with_play(
 
 
 def with_local_memory(
-    setup: Setup, fit: PriorFit, fitted: Callable[[Setup, Inertia], PriorFit], inertia: Inertia
+    setup: Setup,
+    fit: PriorFit,
+    fitted: Callable[[Setup, Inertia], PriorFit],
+    inertia: Inertia,
+    least: float = 0.005,
 ) -> tuple[Inertia, PriorFit]:
     """The fit with the share of each joint's presliding friction that has local memory, where left-out motion shows it.
 
     The two kinds of memory differ if a joint reverses again before it slides. Friction of real gears
     mostly has nonlocal memory [AlBender2005]; simulators and many controllers model it with local memory.
+
+    Args:
+        least: share by which it lowers the error on left-out motion, in the mean over the joints. The gears of an arm
+            are alike, so its joints are judged together; a joint whose error grows by as much has none.
     """
     branches = branches_of(fit.settings)
     if not any(branches):
@@ -307,7 +307,7 @@ def with_local_memory(
     tried = presliding_friction_nm(fit.settings).sum(axis=1)
     more = fitted(bent, replace(inertia, local_memory_nm=tuple(tried.tolist())))
     growth = more.error_nm / np.maximum(fit.error_nm, 1e-300) - 1
-    helps = (growth.mean() < -LOCAL_MEMORY_HELPS) & (growth < LOCAL_MEMORY_HELPS)
+    helps = (growth.mean() < -least) & (growth < least)
     has_some = np.zeros(len(tried), dtype=bool)
     for m, term in enumerate(more.settings.terms):
         if term.kind == _core.TermKind.local_memory:
@@ -374,8 +374,8 @@ def chosen(
 def weighs_on(setup: Setup, recordings: Sequence[Recording], inertia: Inertia) -> np.ndarray:
     """Joints (n,) bool that the arm loads enough to show load-dependent friction.
 
-    USUAL_SHARE of what it weighs there is WEIGHS of the friction or more, which is the mean of the torque along the
-    joint's speed.
+    A strain-wave gear adds 5 % of a load to its friction. That shows if it is 5 % of the joint's friction or more,
+    which is the mean of the torque along the joint's speed.
     """
     n = setup.tree.size
     if inertia.load is None:
@@ -383,11 +383,11 @@ def weighs_on(setup: Setup, recordings: Sequence[Recording], inertia: Inertia) -
     tree = setup.tree if inertia.load == ESTIMATED else _core.Tree(list(inertia.loads), setup.tree.gravity)
     along, rows = np.zeros(n), np.zeros(n)
     for recording in recordings:
-        moves = np.abs(recording.dq) > MOVES_RAD_S
+        moves = np.abs(recording.dq) > 0.05  # rad/s
         along += np.sum(np.where(moves, recording.tau * np.sign(recording.dq), 0.0), axis=0)
         rows += np.sum(moves, axis=0)
     friction_nm = np.abs(setup.observer.nm_per_unit or 1.0) * np.abs(along) / np.maximum(rows, 1)
-    return USUAL_SHARE * largest_beta(tree, setup, recordings) >= WEIGHS * friction_nm
+    return 0.05 * largest_beta(tree, setup, recordings) >= 0.05 * friction_nm
 
 
 def largest_beta(tree: _core.Tree, setup: Setup, recordings: Sequence[Recording]) -> np.ndarray:
@@ -399,12 +399,13 @@ def largest_beta(tree: _core.Tree, setup: Setup, recordings: Sequence[Recording]
     return most
 
 
-def bound_loads(setup: Setup, recordings: Sequence[Recording], fit: PriorFit) -> None:
-    """Limit the fit's load terms to BEYOND times the arm's own weight in this motion.
+def bound_loads(setup: Setup, recordings: Sequence[Recording], fit: PriorFit, beyond: float = 1.2) -> None:
+    """Limit the fit's load terms to `beyond` times the arm's own weight in this motion.
 
     A carried load would take them beyond the range of the fit.
     """
-    forms = {term.form for term in fit.settings.terms if term.kind in LOAD_TERMS}
+    loaded = _core.TermKind.load, _core.TermKind.load_presliding
+    forms = {term.form for term in fit.settings.terms if term.kind in loaded}
     if not forms:
         return
     trees = [setup.tree] if forms == {ESTIMATED} else [_core.Tree(fit.settings.corrected_links, setup.tree.gravity)]
@@ -412,7 +413,7 @@ def bound_loads(setup: Setup, recordings: Sequence[Recording], fit: PriorFit) ->
         trees.append(setup.tree)
     most = np.max([largest_beta(tree, setup, recordings) for tree in trees], axis=0)
     for settings in (fit.settings, *(one.settings for one in fit.left_out)):
-        settings.most_load_nm = (BEYOND * most).tolist()
+        settings.most_load_nm = (beyond * most).tolist()
 
 
 def find_inertia(
@@ -421,11 +422,12 @@ def find_inertia(
     config: PriorConfig,
     report: Callable[[str], None],
     known: Kinematics | None,
+    costs: float = 0.1,
 ) -> tuple[Inertia, PriorFit]:
     """Terms of gravity and inertia for an arm without a model, and a first fit with them.
 
     An arm found from its motion predicts poses that training never saw, which sines and cosines of
-    the angles cannot; those are used if they explain left-out motion better by FOUND_ARM_COSTS.
+    the angles cannot; those are used if they explain left-out motion better by `costs`.
     """
     nothing: list[list[int]] = [[] for _ in range(setup.tree.size)]
     basis = fit_terms(setup, recordings, config, nothing, Inertia())
@@ -433,10 +435,10 @@ def find_inertia(
         return Inertia(), basis
     own = [own_terms(setup, config, joint) for joint in range(setup.tree.size)]
     sample = KinematicSample(setup.tree, setup.observer, recordings, own, setup.widths_rad)
-    if sample.rows < LEAST_ROWS:
+    if sample.rows < ArmSearch.least_rows:
         return Inertia(), basis
     joints = tuple(link.joint_name for link in setup.tree.links)
-    kinematics = find_kinematics(sample, joints, report, start=known).kinematics
+    kinematics = find_kinematics(sample, report, start=known).kinematics
     inertia = Inertia(kinematics.tree(joints, setup.tree.gravity), kinematics=kinematics)
     fit = fit_terms(setup, recordings, config, nothing, inertia)
     inertia = replace(inertia, load=CORRECTED, loads=tuple(fit.settings.corrected_links))
@@ -444,7 +446,7 @@ def find_inertia(
     rms = np.sqrt(np.maximum(fit.regression.whole.energy / fit.regression.whole.rows, LEAST_SQUARE))
     with_arm, without = (float(np.sqrt(np.mean((one.error_nm / rms) ** 2))) for one in (fit, basis))
     report(f"error on left-out motion: {with_arm:.1%} of r with the arm found, {without:.1%} with sines and cosines")
-    return (Inertia(), basis) if (1 - FOUND_ARM_COSTS) * with_arm > without else (inertia, fit)
+    return (Inertia(), basis) if (1 - costs) * with_arm > without else (inertia, fit)
 
 
 def fit_terms(

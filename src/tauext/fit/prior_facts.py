@@ -15,7 +15,6 @@ from tauext.robot.inertial import PARAMETERS
 
 Kind = _core.TermKind
 WELL_DETERMINED = 0.9  # share that the data, and not the ridge, determine
-STANDARD_ERRORS = 3.0  # between a value and zero
 UNITS = {"m": "kg", "h": "kg m", "I": "kg m2", "r": "kg m2"}
 
 
@@ -124,7 +123,7 @@ def is_ripple(term: _core.Term, cycles: int) -> bool:
 def supported(fit: PriorFit, joint: int, term: int) -> bool:
     """Whether the data determine this weight, and that it is not zero."""
     weight, error = fit.weights[joint, term], fit.standard_errors[joint, term]
-    return bool(fit.determined[joint, term] > WELL_DETERMINED and abs(weight) > STANDARD_ERRORS * error)
+    return bool(fit.determined[joint, term] > WELL_DETERMINED and abs(weight) > 3 * error)
 
 
 def corrections(fit: PriorFit, link: int) -> dict:

@@ -60,19 +60,19 @@ class PriorFit:
 # --- Presliding widths that the data support.
 
 
-BENT = (_core.TermKind.presliding, _core.TermKind.load_presliding)
-LEAST_COUNTS = 2.0  # an encoder's counts in a presliding width
-IDLE_SHARE = 0.002
-ROUNDING_RAD = 1e-9
-"""A smaller change of position is rounding, as of a conversion from degrees: a count of 32 bits is 1.5e-9 rad."""
-
-
-def idle_widths(setup: Setup, recordings: Sequence[Recording], config: PriorConfig, fit: PriorFit) -> dict[float, str]:
+def idle_widths(
+    setup: Setup,
+    recordings: Sequence[Recording],
+    config: PriorConfig,
+    fit: PriorFit,
+    least_counts: float = 2.0,
+    idle_share: float = 0.002,
+) -> dict[float, str]:
     """Presliding widths that the data do not support, with the reason, from the narrowest up.
 
-    A width below LEAST_COUNTS counts of the encoder follows the last count's flicker and not the joint. Any other is
+    A width below `least_counts` counts of the encoder follows the last count's flicker and not the joint. Any other is
     dropped if without it, and without those dropped before, the error on left-out recordings grows by less than
-    IDLE_SHARE in every joint. The width that decides the region of limits is kept.
+    `idle_share` in every joint. The width that decides the region of limits is kept.
     """
     regression, dropped = fit.regression, {}
     count_rad = encoder_count(recordings)
@@ -81,25 +81,32 @@ def idle_widths(setup: Setup, recordings: Sequence[Recording], config: PriorConf
     for k, width in enumerate(setup.widths_rad):
         if k == region:
             continue
-        columns = [m for m, term in enumerate(fit.settings.terms) if term.kind in BENT and term.b == k]
+        columns = [
+            m
+            for m, term in enumerate(fit.settings.terms)
+            if term.kind in (Kind.presliding, Kind.load_presliding) and term.b == k
+        ]
         was = regression.used[columns].copy()
         regression.used[columns] = False
-        if width < LEAST_COUNTS * count_rad:
-            dropped[width] = f"narrower than {LEAST_COUNTS:g} encoder counts of {count_rad:.2g} rad"
+        if width < least_counts * count_rad:
+            dropped[width] = f"narrower than {least_counts:g} encoder counts of {count_rad:.2g} rad"
             continue
         _, without_nm = regression.choose_ridge()
         growth = float((without_nm / np.maximum(all_nm, 1e-300) - 1).max())
-        if growth < IDLE_SHARE:
-            dropped[width] = f"without it the error grows by {max(growth, 0.0):.2%}, less than {IDLE_SHARE:.1%}"
+        if growth < idle_share:
+            dropped[width] = f"without it the error grows by {max(growth, 0.0):.2%}, less than {idle_share:.1%}"
         else:
             regression.used[columns] = was
     return dropped
 
 
 def encoder_count(recordings: Sequence[Recording]) -> float:
-    """Smallest change of position that any joint's encoder shows, the coarsest of the joints, [rad]."""
+    """Smallest change of position that any joint's encoder shows, the coarsest of the joints, [rad].
+
+    A smaller change than 1e-9 rad is rounding, as of a conversion from degrees: a count of 32 bits is 1.5e-9 rad.
+    """
     moved = [np.abs(np.diff(recording.q, axis=0)) for recording in recordings]
-    least = np.min([np.where(m > ROUNDING_RAD, m, np.inf).min(axis=0, initial=np.inf) for m in moved], axis=0)
+    least = np.min([np.where(m > 1e-9, m, np.inf).min(axis=0, initial=np.inf) for m in moved], axis=0)
     return float(np.where(np.isfinite(least), least, 0.0).max())
 
 
@@ -113,8 +120,6 @@ def region_width(widths_rad: Sequence[float], config: PriorConfig) -> int:
 
 
 Term, Kind = _core.Term, _core.TermKind
-LEVELS_OFF = 1.5
-"""Times its smoothing, a speed gives a Coulomb term 91 % of its value."""
 ESTIMATED, CORRECTED = 0, 1
 """Forms of the load terms: whose beta loads the gear."""
 
@@ -131,8 +136,8 @@ def own_terms(
 ) -> list[_core.Term]:
     """Friction and ripple of one joint, independent of other joints.
 
-    A Coulomb term that training never saw level off is left out: it cannot be separated from the viscous one, and their
-    difference grows beyond the speeds of training.
+    A Coulomb term that training never saw level off, at 1.5 times its smoothing, is left out: it cannot be separated
+    from the viscous one, and their difference grows beyond the speeds of training.
 
     Args:
         top_speed_rad_s: of the joint in training.
@@ -142,7 +147,7 @@ def own_terms(
     """
     terms = [_core.Term(Kind.constant, joint), _core.Term(Kind.viscous, joint)]
     narrowest, *wider = config.coulomb_speeds_rad_s
-    speeds = [narrowest, *(speed for speed in wider if LEVELS_OFF * speed <= top_speed_rad_s)]
+    speeds = [narrowest, *(speed for speed in wider if 1.5 * speed <= top_speed_rad_s)]
     terms += [_core.Term(Kind.coulomb, joint, speed=speed) for speed in speeds]
     terms += [_core.Term(Kind.presliding, joint, b=width) for width in range(len(setup.widths_rad))]
     if local_memory:

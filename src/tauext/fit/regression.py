@@ -13,10 +13,6 @@ from tauext.fit.stable_choice import simplest
 # --- Positive definite matrices: inverses that stay positive definite, and minima within bounds on some unknowns.
 
 
-RELEASED = 1e-9
-"""A bound is released above this share of the largest slope; less is rounding."""
-
-
 def solve_within(matrix: np.ndarray, right: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     r"""Minimise w A w / 2 - b w with low <= w <= high: A's own metric decides what gives way.
 
@@ -50,7 +46,8 @@ def solve_within(matrix: np.ndarray, right: np.ndarray, low: np.ndarray, high: n
         slope = matrix @ w - right
         inward = np.where(free | (low == high), 0.0, np.where(w <= low, -slope, slope))
         best = int(np.argmax(inward))
-        if inward[best] <= RELEASED * float(np.abs(right).max()):
+        # A smaller share of the largest slope is rounding.
+        if inward[best] <= 1e-9 * float(np.abs(right).max()):
             return w
         free[best] = True
     return w
@@ -76,12 +73,8 @@ def inverse(matrix: np.ndarray) -> np.ndarray:
 
 RIDGES = 10.0 ** np.arange(-7, 2.0)
 FOLDS = 5
-RIDGE_TIE = 1e-6
-"""Share of the squared error by cross-validation: if the data determine everything, weak ridges differ by rounding
-alone, and the strongest of them is taken. A stronger ridge would distort what the data determine."""
 LEAST_SQUARE = 1e-12
 """Smallest mean square of a joint's r used as its weight, [N m squared]."""
-LEAST_RMS = 1e-9  # a regressor that never exceeds it was not excited
 
 
 @dataclass
@@ -133,7 +126,7 @@ class Regression:
         for at, gram, weight in zip(self.whole.columns, self.whole.gram, self._weight, strict=True):
             mean[at] += weight * np.diag(gram) / self.whole.rows
         self._scale = np.sqrt(np.maximum(mean, 0.0))
-        self.used = self._scale > LEAST_RMS
+        self.used = self._scale > 1e-9  # a smaller regressor was not excited
         self._fixed = np.zeros(width)
         self.low, self.high = np.full(width, -np.inf), np.full(width, np.inf)
         self._groups = coupled(self.whole.columns)
@@ -166,9 +159,13 @@ class Regression:
         return solution
 
     def choose_ridge(self) -> tuple[float, np.ndarray]:
-        """The ridge of the least error by cross-validation over folds, and the RMSE on what was left out, (n,)."""
+        """The ridge of the least error by cross-validation over folds, and the RMSE on what was left out, (n,).
+
+        If the data determine everything, weak ridges differ by rounding alone, by less than 1e-6 of the squared error,
+        and the strongest of them is taken. A stronger ridge would distort what the data determine.
+        """
         errors = {float(ridge): self._left_out(float(ridge)) for ridge in reversed(RIDGES)}
-        ridge = simplest(list(errors), lambda one: float((errors[one] * self._weight).sum()), RIDGE_TIE)
+        ridge = simplest(list(errors), lambda one: float((errors[one] * self._weight).sum()), 1e-6)
         return ridge, np.sqrt(errors[ridge])
 
     def score(self, ridge: float) -> float:

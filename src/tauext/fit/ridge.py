@@ -20,12 +20,6 @@ from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial
 # --- Ridge regression of r on terms of a prior that went through the observer's filter.
 
 
-AT_A_TIME = 4
-"""Recordings whose regressors are held at a time, at most."""
-BLOCK = 2048
-"""Rows of the links' regressors held at a time: those of a whole recording take hundreds of MB."""
-
-
 @dataclass(frozen=True)
 class Regressors:
     """Regressors of r.
@@ -91,7 +85,7 @@ def gather(
     usable = [recording for recording in recordings if recording.duration_s > setup.warm_up_s + 1]
     count = pieces or (FOLDS if len(usable) < FOLDS else 1)
     chosen = usable or recordings
-    with ThreadPoolExecutor(min(setup.threads, AT_A_TIME)) as pool:
+    with ThreadPoolExecutor(min(setup.threads, 4)) as pool:
         each = pool.map(lambda one: _problems(setup, one, regressors, count), chosen)
         found = [
             (problem, (recording, span))
@@ -136,10 +130,7 @@ def _problems(
 ) -> list[tuple[NormalEquations, slice]]:
     """The equations of each piece of a recording, and its samples."""
     n, own, shared, corrected = setup.tree.size, regressors.own, regressors.shared, regressors.corrected
-    signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
-    observation = _core.observe(setup.tree, setup.observer, *signals)
-    stride = setup.observer.network_stride
-    rows = np.flatnonzero(observation.warm.astype(bool))[::stride].astype(np.int64)
+    observation, rows = setup.observe(recording)
     if len(rows) < 10:
         return []
     settings = _core.PriorSettings()
@@ -147,7 +138,7 @@ def _problems(
     settings.terms = terms = regressors.terms
     settings.weights = [0.0] * (n * len(terms))
     settings.corrected_links = list(regressors.loads)
-    values = _core.prior_regressors(setup.tree, setup.observer, settings, *signals, rows)
+    values = _core.prior_regressors(setup.tree, setup.observer, settings, *recording.signals, rows)
     ends = np.cumsum([len(group) for group in own])
     mine = [np.arange(end - len(group), end) for group, end in zip(own, ends, strict=True)]
     terms_of = [np.r_[at, ends[-1] : len(terms)] for at in mine]  # its own and the shared ones
@@ -167,8 +158,9 @@ def _problems(
         squares, moments = X.T @ X, X.T @ y  # of all terms at once: most of them are common to all joints
         gram = [np.zeros((len(at) + corrections,) * 2) for at in terms_of]
         moment = [np.r_[moments[at, i], np.zeros(corrections)] for i, at in enumerate(terms_of)]
-        for first in range(0, len(piece) if corrections else 0, BLOCK):
-            block = slice(first, first + BLOCK)
+        # The links' regressors of a whole recording take hundreds of MB.
+        for first in range(0, len(piece) if corrections else 0, 2048):
+            block = slice(first, first + 2048)
             at = rows[of_piece][block]
             part, done = slice(done, int(at[-1]) + 1), int(at[-1]) + 1
             Z = model.rows(recording.t_ns[part], recording.q[part], recording.dq[part], at - part.start)

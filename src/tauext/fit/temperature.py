@@ -24,20 +24,26 @@ from tauext.fit.training_set import Setup
 
 COULOMB = frozenset({"coulomb", "presliding", "local_memory", "load", "load_presliding"})
 FRICTION = COULOMB | {"viscous"}
-PER_K = 0.1
-"""Shares are given for 10 K."""
-LEAST_SPREAD_K = 1.0
-"""Standard deviation of a joint's temperature over the motion: a smaller one is the sensor's."""
-BEYOND_K = 5.0
-"""The shares hold this far beyond the temperatures of training; beyond that, friction is constant."""
-USUAL_SHARE = 0.3
-"""Friction changes by a third in 10 K at most; the shares are shrunk accordingly."""
-MEMORY_S = 0.3
-"""Errors this close together count as one."""
-HELPS = 0.01
-"""A joint's shares are kept if they lower the error on left-out motion by this share."""
-PARTS, LEAST_PARTS = 10, 4
-"""Number of parts of the motion, in order of time; each is left out in turn."""
+
+
+@dataclass(frozen=True)
+class TemperatureConfig:
+    """Where friction follows the temperature; a joint that follows it wrongly has larger errors than a constant one."""
+
+    least_spread_k: float = 1.0
+    """Standard deviation of a joint's temperature over the motion, [K]: a smaller one is the sensor's."""
+    beyond_k: float = 5.0
+    """The shares hold this far beyond the temperatures of training, [K]; beyond that, friction is constant."""
+    usual_share: float = 0.3
+    """Friction changes by a third in 10 K at most; the shares are shrunk accordingly."""
+    memory_s: float = 0.3
+    """Errors this close together count as one, [s]."""
+    helps: float = 0.01
+    """A joint's shares are kept if they lower the error on left-out motion by this share."""
+    parts: int = 10
+    """Number of parts of the motion, in order of time; each is left out in turn."""
+    least_parts: int = 4
+    """Fewest parts in which the temperature is known."""
 
 
 @dataclass(frozen=True)
@@ -51,12 +57,14 @@ class Warmth:
     period_s: float
 
 
-def with_temperature(setup: Setup, recordings: Sequence[Recording], fit: PriorFit) -> PriorFit:
+def with_temperature(
+    setup: Setup, recordings: Sequence[Recording], fit: PriorFit, config: TemperatureConfig = TemperatureConfig()
+) -> PriorFit:
     """The fit with temperature-dependent friction on the joints whose motion shows the dependence.
 
     Every fit in `left_out` gets the same shares and corrections, which are found on all of the motion.
     """
-    warmth = measure_warmth(setup, [one for one in recordings if one.temperature is not None], fit.settings)
+    warmth = measure_warmth(setup, [one for one in recordings if one.temperature is not None], fit, config)
     if warmth is None:
         return fit
     n = setup.tree.size
@@ -64,14 +72,14 @@ def with_temperature(setup: Setup, recordings: Sequence[Recording], fit: PriorFi
     for joint in range(n):
         temperature = warmth.temperature_c[:, joint]
         known = np.isfinite(temperature)
-        if not known.any() or np.std(temperature[known]) < LEAST_SPREAD_K:
+        if not known.any() or np.std(temperature[known]) < config.least_spread_k:
             continue
         reference[joint] = np.mean(temperature[known])
-        found = fit_joint(warmth, joint, known, reference[joint])
+        found = fit_joint(warmth, joint, known, reference[joint], config)
         if found is None:
             continue
         factors[joint], shares[joint] = 1 + found[:2], found[2:] / (1 + found[:2])
-        reach[joint] = np.max(np.abs(temperature[known] - reference[joint])) + BEYOND_K
+        reach[joint] = np.max(np.abs(temperature[known] - reference[joint])) + config.beyond_k
     if not shares.any():
         return fit
     follows = _core.FrictionTemperature()
@@ -84,53 +92,53 @@ def with_temperature(setup: Setup, recordings: Sequence[Recording], fit: PriorFi
     return fit
 
 
-def fit_joint(warmth: Warmth, joint: int, known: np.ndarray, reference_c: float) -> np.ndarray | None:
+def fit_joint(
+    warmth: Warmth, joint: int, known: np.ndarray, reference_c: float, config: TemperatureConfig
+) -> np.ndarray | None:
     """(b_C, b_V, c_C, c_V) of a joint; None if they do not help on left-out motion."""
     friction, left = warmth.friction_nm[known, joint], warmth.left_nm[known, joint]
-    warm = PER_K * (warmth.temperature_c[known, joint] - reference_c)
+    warm = 0.1 * (warmth.temperature_c[known, joint] - reference_c)
     X, part = np.hstack([friction, friction * warm[:, None]]), warmth.part[known]
     names = np.unique(part)
-    if len(names) < LEAST_PARTS:
+    if len(names) < config.least_parts:
         return None
     equations = [(X[part == k].T @ X[part == k], X[part == k].T @ left[part == k]) for k in names]
     gram, moment = (sum(one[i] for one in equations) for i in (0, 1))
-    noise = np.mean((left - X @ np.linalg.lstsq(X, left, rcond=None)[0]) ** 2) * MEMORY_S / warmth.period_s
-    shrink = max(noise, 1e-12) / USUAL_SHARE**2 * np.eye(4)
+    noise = np.mean((left - X @ np.linalg.lstsq(X, left, rcond=None)[0]) ** 2) * config.memory_s / warmth.period_s
+    shrink = max(noise, 1e-12) / config.usual_share**2 * np.eye(4)
     squares = 0.0
     for k, (own_gram, own_moment) in zip(names, equations, strict=True):
         found = np.linalg.solve(gram - own_gram + shrink, moment - own_moment)
         squares += float(np.sum((left[part == k] - X[part == k] @ found) ** 2))
-    if squares > (1 - HELPS) ** 2 * float(np.sum(left**2)):
+    if squares > (1 - config.helps) ** 2 * float(np.sum(left**2)):
         return None
     return np.linalg.solve(gram + shrink, moment)
 
 
-def measure_warmth(setup: Setup, recordings: Sequence[Recording], settings: _core.PriorSettings) -> Warmth | None:
+def measure_warmth(
+    setup: Setup, recordings: Sequence[Recording], fit: PriorFit, config: TemperatureConfig
+) -> Warmth | None:
     """The motion of known temperature in the recordings; None if there is none."""
     if not recordings:
         return None
-    stride = setup.observer.network_stride
     with ThreadPoolExecutor(min(setup.threads, 4)) as pool:
-        found = [rows for rows in pool.map(lambda one: _rows(setup, one, settings, stride), recordings) if len(rows[0])]
+        found = [rows for rows in pool.map(lambda one: _rows(setup, one, fit.settings), recordings) if len(rows[0])]
     if not found:
         return None
     left, friction, temperature = (np.concatenate(column) for column in zip(*found, strict=True))
-    part = np.arange(len(left)) * PARTS // len(left)
-    return Warmth(left, friction, temperature, part, 1e-9 * setup.observer.sample_period_ns * stride)
+    part = np.arange(len(left)) * config.parts // len(left)
+    return Warmth(left, friction, temperature, part, setup.network_period_s)
 
 
 def _rows(
-    setup: Setup, recording: Recording, settings: _core.PriorSettings, stride: int
+    setup: Setup, recording: Recording, settings: _core.PriorSettings
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
 
-    def observe(prior: _core.PriorSettings) -> _core.Observation:
-        return _core.observe(setup.tree, setup.observer, *signals, prior)
-
-    whole = observe(settings)
-    rows = np.flatnonzero(whole.warm.astype(bool))[::stride]
-    model = observe(of_kinds(settings, frozenset())).prior[rows]  # of the corrected links, which are no terms
-    parts = [observe(of_kinds(settings, kinds)).prior[rows] - model for kinds in (COULOMB, frozenset({"viscous"}))]
+    whole, rows = setup.observe(recording, settings)
+    kinds = frozenset[str](), COULOMB, FRICTION - COULOMB
+    # Without any term the prior is that of the corrected links.
+    model, *of_terms = (setup.observe(recording, of_kinds(settings, some))[0].prior[rows] for some in kinds)
+    parts = [one - model for one in of_terms]
     assert recording.temperature is not None
     return (whole.residual - whole.prior)[rows], np.stack(parts, axis=-1), recording.temperature[rows]
 

@@ -14,43 +14,72 @@ from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
 from tauext.fit.bundle_writing import build_setup
 from tauext.fit.find_kinematics import (
-    LEAST_ROWS,
-    ROW_S,
+    ArmSearch,
     Fitted,
     Kinematics,
     KinematicSample,
     can_be_found,
     find_kinematics,
 )
+from tauext.fit.links import ROTOR
 from tauext.fit.prior_terms import has_model, own_terms
 from tauext.fit.stable_choice import simplest
 from tauext.fit.training_set import Setup, with_presliding
 from tauext.robot.inertial import PARAMETERS, inertial_parameters
 from tauext.robot.model_case import empty
 
+
+@dataclass(frozen=True)
+class ConstantsConfig:
+    """What is assumed of models and drives where torque constants are found, as standard errors or shares."""
+
+    mass_off: float = 0.1
+    """Share by which a link's mass is off, at a place within the link; only how the links compare matters, see
+    `ScaledArm.doubt`."""
+    tool: float = 0.1
+    """Mass of what may hang at the last link beside it, as a share of the arm's; at so large a share of its reach."""
+    independent_s: float = 1.0
+    """Correlation time of the residual of friction, [s]: samples within it count as one."""
+    known: float = 0.5
+    """Above this relative standard error, a constant by the unchanged model has no information, not even its sign."""
+    sign_tie: float = 1.0
+    """Least gain in log evidence for an inverted sign: a factor of e is insignificant, and few drives report their
+    current with the sign inverted."""
+    least_noise: float = 1e-6
+    """Least noise of a torque, in its recorded unit."""
+    file_mass: float = 0.12
+    """Standard errors of a robot file of which nothing is known, as shares: mass of a link (0.12: within 20 %) ..."""
+    file_centre: float = 0.03
+    """... its centre of mass ..."""
+    file_inertia: float = 0.05
+    """... and its inertia about it, of its size ..."""
+    file_common: float = 0.04
+    """... and a factor common to all masses: covers and cables are left out."""
+    least_own: float = 0.02
+    """Least standard error of a joint's constant: magnets and gears change with temperature and load."""
+    pieces: int = 10
+    """Pieces of the motion that are left out in turn for standard errors."""
+    well_determined: float = 0.15
+    """A constant counts as known up to this relative standard error beside the common factor."""
+    guess: float = 0.5
+    """One that is known to this share only is a guess: of no use for reading N m, but nearer to the model's torque,
+    which it must meet, than amperes are."""
+    least_share: float = 0.05
+    """Least share of what friction leaves of a current that gravity and inertia explain; below, its constant is
+    unknown."""
+    unknown_to: float = 1.0
+    """Standard deviation of the logarithm of an unknown constant about its value by the unchanged model."""
+    given_to: float = 0.06
+    """The same for a given constant: makers' numbers and gear losses are right within 10 %."""
+    kept: float = 0.75
+    """A given constant is kept if the motion leaves this share of its uncertainty or more."""
+    unit_tie: float = 0.01
+    """Among joints known this similarly, the first one's unit is used for all."""
+    arm_off: float = 0.03
+    """Share by which the torques of an arm found in the motion are off, beside their scatter."""
+
+
 # --- A model's inertia and its torque constants, corrected together: most likely by what free motion shows.
-
-
-ROTOR = len(PARAMETERS) - 1
-MASS_OFF = 0.1
-"""Share by which a link's mass is off, at a place within the link; only how the links compare matters, see doubt."""
-TOOL = 0.1
-"""Mass of what may hang at the last link beside it, as a share of the arm's; at so large a share of its reach."""
-INDEPENDENT_S = 1.0
-"""Correlation time of the residual of friction: samples within it count as one."""
-KNOWN = 0.5
-"""Above this relative standard error, a constant by the unchanged model has no information, not even its sign."""
-SIGN_TIE = 1.0
-"""Least gain in log evidence for an inverted sign: a factor of e is insignificant, and few drives report their current
-with the sign inverted."""
-LEAST_NOISE = 1e-6
-ROUNDS = 8
-DELTA = 1e-4
-FILE_MASS, FILE_CENTRE, FILE_INERTIA, FILE_COMMON = 0.12, 0.03, 0.05, 0.04
-"""Standard errors of a robot file of which nothing is known: mass of a link (0.12: within 20 %), its centre of mass
-and its inertia about it, as shares of its size, and a factor common to all masses: covers and cables are left out."""
-LEAST_OWN = 0.02
-"""Least standard error of a joint's constant: magnets and gears change with temperature and load."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +90,7 @@ class ScaledArm:
     covariance: np.ndarray
     """(n, n) of their logarithms."""
     doubt: float
-    """Estimated model error: 1 if masses are off by MASS_OFF."""
+    """Estimated model error: 1 if masses are off by ConstantsConfig.mass_off."""
 
 
 def fit_scaled_arm(sample: KinematicSample, tree: _core.Tree, start: np.ndarray | None = None) -> ScaledArm:
@@ -74,7 +103,7 @@ def fit_scaled_arm(sample: KinematicSample, tree: _core.Tree, start: np.ndarray 
     in N m, F a joint's friction and rotor. theta_0 are the model's parameters, D is how far those of an arm may be from
     them; tau is found along with x, so that a good model counts for more than a bad one. theta is integrated over: at
     its best value alone, constants would shrink to nothing where the model fits badly. The noise of a joint is what its
-    fit leaves; INDEPENDENT_S of it counts as one sample.
+    fit leaves; ConstantsConfig.independent_s of it counts as one sample.
 
     The curvature of the evidence would understate the errors: motion confirms how the masses compare, so tau is small,
     but not their common scale, which goes into every constant. See Evidence.errors().
@@ -92,23 +121,23 @@ def fit_scaled_arm(sample: KinematicSample, tree: _core.Tree, start: np.ndarray 
         beside = np.column_stack([sample.own[j], Z[:, j, j, ROTOR]])
         left = unexplained(np.column_stack([Z[:, j, :, :ROTOR].reshape(sample.rows, -1), sample.target[:, j]]), beside)
         parts.append(left.T @ left)
-    count = max(1.0, sample.rows * ROW_S / INDEPENDENT_S)
+    count = max(1.0, sample.rows * ArmSearch.row_s / ConstantsConfig.independent_s)
     grams, begun = np.array(parts), start is None
     # A joint whose torque friction explains to the last bit, as one of 0 throughout, does not determine its constant.
-    grams[grams[:, -1, -1] <= LEAST_NOISE**2 * sample.rows] = 0.0
+    grams[grams[:, -1, -1] <= ConstantsConfig.least_noise**2 * sample.rows] = 0.0
     start = as_it_is(grams, model, count) if start is None else start
-    evidence = Evidence(grams, model, spread, start, UNKNOWN_TO)
+    evidence = Evidence(grams, model, spread, start, ConstantsConfig.unknown_to)
     at, weights, cost = most_likely(evidence, sample.rows, count)
     for k in np.flatnonzero(start < 0) if begun else ():
         turned = replace(evidence, start=np.where(np.arange(n) == k, -evidence.start, evidence.start))
         other = most_likely(turned, sample.rows, count)
-        if other[2] < cost + SIGN_TIE:
+        if other[2] < cost + ConstantsConfig.sign_tie:
             evidence, (at, weights, cost) = turned, other
-    covariance = evidence.errors(at, weights, file_covariance(tree)) + LEAST_OWN**2 * np.eye(n)
-    energy = np.maximum(grams[:, -1, -1], LEAST_NOISE**2 * sample.rows)
-    unseen = evidence.squares(at, weights) > (1 - LEAST_SHARE) * energy
+    covariance = evidence.errors(at, weights, file_covariance(tree)) + ConstantsConfig.least_own**2 * np.eye(n)
+    energy = np.maximum(grams[:, -1, -1], ConstantsConfig.least_noise**2 * sample.rows)
+    unseen = evidence.squares(at, weights) > (1 - ConstantsConfig.least_share) * energy
     covariance[unseen, :] = covariance[:, unseen] = 0.0
-    covariance[unseen, unseen] = UNKNOWN_TO**2
+    covariance[unseen, unseen] = ConstantsConfig.unknown_to**2
     return ScaledArm(evidence.constants(at), covariance, float(np.exp(at[-1])))
 
 
@@ -118,9 +147,9 @@ def most_likely(evidence: Evidence, rows: int, count: float) -> tuple[np.ndarray
     Args:
         count: independent samples.
     """
-    at, least = np.zeros(len(evidence.start) + 1), LEAST_NOISE**2 * rows
+    at, least = np.zeros(len(evidence.start) + 1), ConstantsConfig.least_noise**2 * rows
     weights = count / np.maximum(evidence.grams[:, -1, -1] / 10, least)  # most of r is explained in the end
-    for _ in range(ROUNDS):
+    for _ in range(8):
         at = minimize(lambda x, w=weights: evidence.cost(x, w)[:2], at, jac=True, method="BFGS").x
         weights = count / np.maximum(evidence.squares(at, weights), least)
     return at, weights, evidence.cost(at, weights)[0] - count / 2 * float(np.log(weights).sum())
@@ -136,7 +165,7 @@ def as_it_is(grams: np.ndarray, model: np.ndarray, count: float) -> np.ndarray:
     with np.errstate(divide="ignore", invalid="ignore"):
         constants = of_model / together
         explained = together**2 / (of_model * grams[:, -1, -1])
-        known = np.isfinite(constants) & ((1 - explained) < KNOWN**2 * count * explained)
+        known = np.isfinite(constants) & ((1 - explained) < ConstantsConfig.known**2 * count * explained)
     usual = np.exp(np.mean(np.log(np.abs(constants[known])))) if known.any() else 1.0
     return np.where(known, constants, usual)
 
@@ -153,9 +182,9 @@ def spreads(tree: _core.Tree) -> np.ndarray:
     rows = []
     for k, link in enumerate(tree.links):
         p = inertial_parameters(link)
-        mass, size = MASS_OFF * link.mass, np.sqrt(max(p[4:7].sum(), 0.0) / (2 * max(link.mass, 1e-9)))
+        mass, size = ConstantsConfig.mass_off * link.mass, np.sqrt(max(p[4:7].sum(), 0.0) / (2 * max(link.mass, 1e-9)))
         if k == tree.size - 1:
-            mass, size = np.hypot(mass, TOOL * whole), max(size, TOOL * reach)
+            mass, size = np.hypot(mass, ConstantsConfig.tool * whole), max(size, ConstantsConfig.tool * reach)
         rows.append(np.r_[mass, np.full(3, mass * size), np.full(6, mass * size**2)])
     return np.concatenate(rows)
 
@@ -166,13 +195,15 @@ def file_covariance(tree: _core.Tree) -> np.ndarray:
     for k, link in enumerate(tree.links):
         p, centre = inertial_parameters(link)[:ROTOR], np.array(link.com)
         size = np.sqrt(max(p[4:7].sum(), 0.0) / (2 * max(link.mass, 1e-9)))
-        off = [FILE_MASS * p]
-        for step in FILE_CENTRE * size * np.eye(3):
+        off = [ConstantsConfig.file_mass * p]
+        for step in ConstantsConfig.file_centre * size * np.eye(3):
             link.com = (centre + step).tolist()
             off.append(inertial_parameters(link)[:ROTOR] - p)
-        off += list(FILE_INERTIA * link.mass * size**2 * np.eye(ROTOR)[4:])
+        off += list(ConstantsConfig.file_inertia * link.mass * size**2 * np.eye(ROTOR)[4:])
         columns += [np.kron(np.eye(n)[k], one) for one in off]
-    columns.append(FILE_COMMON * np.concatenate([inertial_parameters(link)[:ROTOR] for link in tree.links]))
+    columns.append(
+        ConstantsConfig.file_common * np.concatenate([inertial_parameters(link)[:ROTOR] for link in tree.links])
+    )
     return np.asarray(np.transpose(columns) @ columns)
 
 
@@ -182,10 +213,10 @@ def common_and_own(covariance: np.ndarray) -> tuple[float, np.ndarray]:
     Joints whose constants are no better than a guess have no part in the common factor.
     """
     variances = np.diag(covariance)
-    known = np.flatnonzero(variances <= GUESS**2)
+    known = np.flatnonzero(variances <= ConstantsConfig.guess**2)
     alike = covariance[np.ix_(known, known)][~np.eye(len(known), dtype=bool)]
     common = max(float(np.median(alike)), 0.0) if len(alike) else 0.0
-    return float(np.sqrt(common)), np.sqrt(np.maximum(variances - common, LEAST_OWN**2))
+    return float(np.sqrt(common)), np.sqrt(np.maximum(variances - common, ConstantsConfig.least_own**2))
 
 
 @dataclass(frozen=True)
@@ -255,8 +286,8 @@ class Evidence:
             moved += of_joint @ Q[j] @ of_joint.T / weight
             of_parameters += scale * of_joint @ Q[j]
         moved += of_parameters @ of_file @ of_parameters.T
-        slopes = [self.cost(at + h, weights)[1] - self.cost(at - h, weights)[1] for h in DELTA * np.eye(n + 1)]
-        curvature = np.array(slopes) / (2 * DELTA)
+        slopes = [self.cost(at + h, weights)[1] - self.cost(at - h, weights)[1] for h in 1e-4 * np.eye(n + 1)]
+        curvature = np.array(slopes) / 2e-4
         follows = np.linalg.pinv((curvature + curvature.T) / 2)
         covariance = (follows @ moved @ follows.T)[:n, :n]
         more = np.diag(follows)[:n] - np.diag(covariance)  # where the prior on x limits what is found
@@ -264,26 +295,6 @@ class Evidence:
 
 
 # --- Torque constants of arms that report motor currents: one factor a joint.
-
-
-PIECES = 10
-WELL_DETERMINED = 0.15
-"""A constant counts as known up to this relative standard error beside the common factor."""
-GUESS = 0.5
-"""One that is known to this share only is a guess: of no use for reading N m, but nearer to the model's torque, which
-it must meet, than amperes are."""
-LEAST_SHARE = 0.05
-"""Least share of what friction leaves of a current that gravity and inertia explain; below, its constant is unknown."""
-UNKNOWN_TO = 1.0
-"""Standard deviation of the logarithm of an unknown constant about its value by the unchanged model."""
-GIVEN_TO = 0.06
-"""The same for a given constant: makers' numbers and gear losses are right within 10 %."""
-KEPT = 0.75
-"""A given constant is kept if the motion leaves this share of its uncertainty or more."""
-UNIT_TIE = 0.01
-"""Of a standard error from PIECES parts: among joints known this similarly, the first one's unit is used for all."""
-ARM_OFF = 0.03
-"""Share by which the torques of an arm found in the motion are off, beside their scatter."""
 
 
 @dataclass(frozen=True)
@@ -313,7 +324,7 @@ class TorqueConstants:
     def guessed(self) -> np.ndarray:
         """(n,) bool: not determined, but used."""
         with np.errstate(invalid="ignore"):
-            near = (self.nm_per_unit > 0) & (self.standard_errors <= GUESS * self.nm_per_unit)
+            near = (self.nm_per_unit > 0) & (self.standard_errors <= ConstantsConfig.guess * self.nm_per_unit)
         return near & ~self.determined & (not self.given)
 
     @property
@@ -399,7 +410,7 @@ def fit_torque_constants(
     Without a model they are compared with the arm that is found in the motion; then only their ratios show.
 
     Args:
-        given: the recordings' currents were multiplied by constants known to GIVEN_TO; the result corrects them.
+        given: the recordings' currents were multiplied by given constants; the result corrects them.
 
     Raises:
         ConfigError: no model, and no arm can be found: a joint slides, or too little motion.
@@ -419,7 +430,7 @@ def fit_torque_constants(
     arm = fit_scaled_arm(sample, tree)
     common, shares = common_and_own(arm.covariance)
     errors = shares * np.abs(arm.nm_per_unit)
-    return TorqueConstants(arm.nm_per_unit, errors, shares <= WELL_DETERMINED, common_share=common)
+    return TorqueConstants(arm.nm_per_unit, errors, shares <= ConstantsConfig.well_determined, common_share=common)
 
 
 def with_constants(observer: _core.ObserverSettings, nm_per_unit: Sequence[float]) -> _core.ObserverSettings:
@@ -432,7 +443,7 @@ def with_constants(observer: _core.ObserverSettings, nm_per_unit: Sequence[float
 def between_given(arm: ScaledArm) -> TorqueConstants:
     """Corrections of given constants: the most likely ones between those found and 1, each by its error."""
     known = np.linalg.inv(arm.covariance)
-    covariance = np.linalg.inv(known + np.eye(len(known)) / GIVEN_TO**2)
+    covariance = np.linalg.inv(known + np.eye(len(known)) / ConstantsConfig.given_to**2)
     common, own = common_and_own(covariance)
     return given_constants(np.exp(covariance @ known @ np.log(arm.nm_per_unit)), own, common)
 
@@ -443,8 +454,8 @@ def given_constants(factors: np.ndarray, log_errors: np.ndarray, common_share: f
     Args:
         log_errors: (n,) beside the common factor.
     """
-    determined = (log_errors <= KEPT * GIVEN_TO) & (factors > 0)
-    factors, errors = np.where(determined, factors, 1.0), np.where(determined, log_errors, GIVEN_TO)
+    determined = (log_errors <= ConstantsConfig.kept * ConstantsConfig.given_to) & (factors > 0)
+    factors, errors = np.where(determined, factors, 1.0), np.where(determined, log_errors, ConstantsConfig.given_to)
     common_share = common_share if determined.any() else 0.0
     return TorqueConstants(factors, errors * factors, determined, given=True, common_share=common_share)
 
@@ -460,23 +471,24 @@ def _relative_constants(
     sample = (
         KinematicSample(setup.tree, setup.observer, recordings, own, setup.widths_rad) if can_be_found(setup) else None
     )
-    if sample is None or sample.rows < LEAST_ROWS:
+    if sample is None or sample.rows < ArmSearch.least_rows:
         if given:
             return given_constants(np.ones(len(joints)), np.full(len(joints), np.inf))
         raise ConfigError(
             "torque constants are found by comparing with a model, and there is none (case 'none'); nor can an arm be "
-            f"found in the motion, which takes turning joints, gravity and {LEAST_ROWS * ROW_S:g} s of it "
+            "found in the motion, which takes turning joints, gravity and "
+            f"{ArmSearch.least_rows * ArmSearch.row_s:g} s of it "
             "(--fit-torque-constants False trains in the recordings' own unit)"
         )
-    candidate = find_kinematics(sample, joints, one_unit=False)
-    fitted = Fitted.of(sample, joints, candidate.kinematics, candidate.scales)
+    candidate = find_kinematics(sample, one_unit=False)
+    fitted = Fitted.of(sample, candidate.kinematics, candidate.scales)
     modelled = fitted.columns @ fitted.parameters.ravel()
     found = [_fit(modelled[:, j], sample.target[:, j], sample.own[j]) for j in range(len(joints))]
     constants, errors, determined = (np.array([one[k] for one in found]) for k in range(3))
     if given:
         return replace(drawn_to_given(constants, errors), kinematics=candidate.kinematics)
     known_to = np.where((constants > 0) & np.isfinite(errors), errors / np.abs(constants), np.inf)
-    best = simplest(range(len(joints)), known_to.__getitem__, UNIT_TIE)
+    best = simplest(range(len(joints)), known_to.__getitem__, ConstantsConfig.unit_tie)
     ratios = constants / constants[best], errors / constants[best], determined
     return TorqueConstants(*ratios, relative_to=best, kinematics=candidate.kinematics)
 
@@ -485,26 +497,30 @@ def drawn_to_given(constants: np.ndarray, errors: np.ndarray) -> TorqueConstants
     """Corrections whose ratios the motion shows: their mean stays as given, each is drawn to 1 as far as it is open."""
     known = (constants > 0) & np.isfinite(errors)
     logs, shares = np.zeros(len(constants)), np.full(len(constants), np.inf)
-    logs[known], shares[known] = np.log(constants[known]), np.hypot(errors[known] / constants[known], ARM_OFF)
-    trust = 1 / (shares**2 + GIVEN_TO**2)
+    logs[known], shares[known] = (
+        np.log(constants[known]),
+        np.hypot(errors[known] / constants[known], ConstantsConfig.arm_off),
+    )
+    trust = 1 / (shares**2 + ConstantsConfig.given_to**2)
     logs -= trust @ logs / max(trust.sum(), 1e-300)
-    drawn = GIVEN_TO**2 * trust
-    return given_constants(np.exp(drawn * logs), GIVEN_TO * np.sqrt(1 - drawn))
+    drawn = ConstantsConfig.given_to**2 * trust
+    return given_constants(np.exp(drawn * logs), ConstantsConfig.given_to * np.sqrt(1 - drawn))
 
 
 def _fit(model: np.ndarray, current: np.ndarray, beside: np.ndarray) -> tuple[float, float, bool]:
     """Constant, standard error, and whether that is known, of one joint; `beside` is friction and rotor."""
     columns = np.column_stack([model, beside])
     pieces = [
-        (columns[at].T @ columns[at], columns[at].T @ current[at]) for at in np.array_split(range(len(model)), PIECES)
+        (columns[at].T @ columns[at], columns[at].T @ current[at])
+        for at in np.array_split(range(len(model)), ConstantsConfig.pieces)
     ]
     gram, moment = (sum(piece[k] for piece in pieces) for k in range(2))
     share = np.linalg.lstsq(gram, moment, rcond=None)[0]
     leave_one = np.array([np.linalg.lstsq(gram - g, moment - m, rcond=None)[0][0] for g, m in pieces])
-    error = np.sqrt((PIECES - 1) / PIECES * ((leave_one - leave_one.mean()) ** 2).sum())
+    error = np.sqrt((ConstantsConfig.pieces - 1) / ConstantsConfig.pieces * ((leave_one - leave_one.mean()) ** 2).sum())
     left = current - beside @ np.linalg.lstsq(beside, current, rcond=None)[0]
     explained = 1 - np.sum((current - columns @ share) ** 2) / max(float(left @ left), 1e-300)
     if not abs(share[0]) > 0:
         return np.nan, np.nan, False
-    determined = error <= WELL_DETERMINED * abs(share[0]) and explained >= LEAST_SHARE
+    determined = error <= ConstantsConfig.well_determined * abs(share[0]) and explained >= ConstantsConfig.least_share
     return 1 / share[0], error / share[0] ** 2, bool(determined)

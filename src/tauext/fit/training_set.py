@@ -55,6 +55,18 @@ class Setup:
         return warm_up_s(self.observer.gain_per_s, self.observer.low_pass_per_s)
 
     @property
+    def network_period_s(self) -> float:
+        """Time between two rows of the network, [s]."""
+        return 1e-9 * self.observer.sample_period_ns * self.observer.network_stride
+
+    def observe(
+        self, recording: Recording, prior: _core.PriorSettings | None = None
+    ) -> tuple[_core.Observation, np.ndarray]:
+        """r of a recording, with the share of this prior, and which samples count: warm ones at the network's rate."""
+        observation = _core.observe(self.tree, self.observer, *recording.signals, prior or _core.PriorSettings())
+        return observation, np.flatnonzero(observation.warm)[:: self.observer.network_stride]
+
+    @property
     def reach(self) -> int:
         """Network steps before its last one that a window needs: its length, since one input lags by one step."""
         return self.window_steps
@@ -176,8 +188,7 @@ def _observed(setup: Setup, recordings: Sequence[Recording]) -> Iterator[tuple[R
 
 
 def _observe(setup: Setup, recording: Recording) -> _core.Observation:
-    signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
-    return _core.observe(setup.tree, setup.observer, *signals, setup.prior, recording.temperature)
+    return _core.observe(setup.tree, setup.observer, *recording.signals, setup.prior, recording.temperature)
 
 
 # --- An arm's largest possible signals, from its recordings and robot file; samples beyond them are invalid.
@@ -185,22 +196,28 @@ def _observe(setup: Setup, recording: Recording) -> _core.Observation:
 
 LEAST_TORQUE_NM = 1.0
 """Smallest torque bound, since a joint that needed no torque in training may need some later."""
-BEYOND_DRIVE = 2.0
-"""Times the robot file's drive torque: files often state the rated torque, and a peak is twice that."""
-BEYOND_TORQUE = 10.0
-"""Multiple of a joint's training torque if its drive is unknown: a wrist in gentle motion needs a tenth of its drive's
-torque, and a collision demands all of it."""
-BEYOND_SPEED = 5.0
-"""Multiple of a joint's training speed from which a velocity counts as impossible."""
-USUAL_SPEED_RAD_S = 2.0
-"""Least training speed for this, [rad/s]: joints hardly reach the bound of 10 rad/s, and no collision adds it."""
-MOST_ROWS = 2_000_000
+
+
+@dataclass(frozen=True)
+class BoundsConfig:
+    """From where on a signal counts as impossible; narrower bounds find more faults and may reject a collision."""
+
+    drive: float = 2.0
+    """Multiple of the robot file's drive torque: files often state the rated torque, and a peak is twice that."""
+    torque: float = 10.0
+    """Multiple of a joint's training torque if its drive is unknown: a wrist in gentle motion needs a tenth of its
+    drive's torque, and a collision demands all of it."""
+    speed: float = 5.0
+    """Multiple of a joint's training speed."""
+    usual_speed_rad_s: float = 2.0
+    """Least training speed for this, [rad/s]: joints hardly reach the bound of 10 rad/s, and no collision adds it."""
 
 
 def signal_bounds(
     recordings: Sequence[Recording],
     torque_limit_nm: Sequence[float] | np.ndarray | None = None,
     nm_per_unit: Sequence[float] | np.ndarray = (1.0,),
+    config: BoundsConfig = BoundsConfig(),
 ) -> SignalBounds:
     """Torque and speed beyond which a sample of this arm cannot be valid, whatever touches it.
 
@@ -216,16 +233,16 @@ def signal_bounds(
     torque = robust_largest([recording.tau for recording in recordings]) * np.abs(nm_per_unit)
     speed = robust_largest([recording.dq for recording in recordings])
     needed = np.maximum(torque, LEAST_TORQUE_NM)
-    unknown = np.maximum(BEYOND_TORQUE * needed, torque.max())
+    unknown = np.maximum(config.torque * needed, torque.max())
     drive = np.full(len(torque), np.inf) if torque_limit_nm is None else np.asarray(torque_limit_nm, dtype=float)
     known = np.isfinite(drive) & (drive >= torque)
-    most = np.where(known, np.maximum(BEYOND_DRIVE * np.where(known, drive, 0.0), LEAST_TORQUE_NM), unknown)
-    return SignalBounds(most, BEYOND_SPEED * np.maximum(speed, USUAL_SPEED_RAD_S))
+    most = np.where(known, np.maximum(config.drive * np.where(known, drive, 0.0), LEAST_TORQUE_NM), unknown)
+    return SignalBounds(most, config.speed * np.maximum(speed, config.usual_speed_rad_s))
 
 
 def robust_largest(signals: Sequence[np.ndarray]) -> np.ndarray:
     """Largest magnitude of each column but for MOST_SHARE of its values, and for one of a few; (joints,)."""
     rows = sum(len(signal) for signal in signals)
-    step = -(-rows // MOST_ROWS)
+    step = -(-rows // 2_000_000)
     magnitude = np.abs(np.concatenate([signal[::step] for signal in signals]))
     return np.quantile(magnitude, 1 - MOST_SHARE, axis=0, method="lower")

@@ -83,11 +83,10 @@ def needed(
     Args:
         tried: spreads, from the smallest on.
     """
-    signals = recording.t_ns, recording.q, recording.dq, recording.tau
     own, threads, hours = _core.Bundle.from_bytes(bundle.to_bytes()), threads or os.cpu_count() or 1, 0.0
     for spread in tried:
         own.declared_spread = spread
-        found = _core.estimate(own, *signals, threads, recording.temperature, contacts=contacts)
+        found = _core.estimate(own, *recording.signals, threads, recording.temperature, contacts=contacts)
         acts = found["declared_size"] > 2 * found["declared_sigma"]
         hours = float(acts.sum() / recording.rate_hz / 3600)
         if not ((found["held_alarm"] == COLLISION) & (found["declared"] > 0)).any():

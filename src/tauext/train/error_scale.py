@@ -55,8 +55,7 @@ class Judged:
 
 def with_outputs(bundle: _core.Bundle, recording: Recording, threads: int) -> Judged:
     """The recording with its network outputs, for several evaluations while limits and error scale are set."""
-    signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
-    outputs = _core.network_outputs(bundle, *signals, threads, recording.temperature)
+    outputs = _core.network_outputs(bundle, *recording.signals, threads, recording.temperature)
     return Judged(recording, outputs=outputs)
 
 
@@ -83,9 +82,8 @@ def judge(
     """
     judged = judged if isinstance(judged, Judged) else Judged(judged)
     motion = judged.motion
-    signals = (motion.t_ns, motion.q, motion.dq, motion.tau)
     estimates = _core.estimate(
-        judged.bundle or bundle, *signals, threads, motion.temperature, judged.outputs, list(torques)
+        judged.bundle or bundle, *motion.signals, threads, motion.temperature, judged.outputs, list(torques)
     )
     counted = np.zeros(motion.samples, dtype=bool)
     counted[judged.span] = True

@@ -17,7 +17,7 @@ from tauext.fit.prior_facts import held_sentence, prior_facts
 from tauext.fit.prior_terms import PriorFit, region_width
 from tauext.fit.torque_constants import with_constants
 from tauext.fit.training_set import Setup, with_presliding
-from tauext.train.preparation import Job
+from tauext.train.preparation import TrainingRun
 
 # --- The observer, and a recipe's prior, fitted to r by the function in the recipe's row.
 
@@ -46,7 +46,7 @@ class Fit(Protocol):
         """
 
 
-def observe(job: Job, gain_per_s: float | None = None) -> Setup:
+def observe(run: TrainingRun, gain_per_s: float | None = None) -> Setup:
     """Build the setup up to r: estimated model, torque constants, and the recipe's observer and filters.
 
     Args:
@@ -55,30 +55,30 @@ def observe(job: Job, gain_per_s: float | None = None) -> Setup:
     Raises:
         TrainingError: the recordings' joints differ from the model's, or their rates differ.
     """
-    config = job.config.observer if gain_per_s is None else replace(job.config.observer, gain_per_s=gain_per_s)
-    setup = build_setup(job.tree, job.training[0], config, job.config.recipe, job.config.filters)
-    setup = replace(setup, threads=job.threads)
-    rate_tolerance(job.training, setup.observer)  # fails early
-    if job.constants is None:
+    config = run.config.observer if gain_per_s is None else replace(run.config.observer, gain_per_s=gain_per_s)
+    setup = build_setup(run.tree, run.training[0], config, run.config.recipe, run.config.filters)
+    setup = replace(setup, threads=run.threads)
+    rate_tolerance(run.training, setup.observer)  # fails early
+    if run.constants is None:
         return setup
-    return replace(setup, observer=with_constants(setup.observer, job.constants.used))
+    return replace(setup, observer=with_constants(setup.observer, run.constants.used))
 
 
-def fit_prior(job: Job, setup: Setup, recordings: Sequence[Recording]) -> PriorFit | None:
+def fit_prior(run: TrainingRun, setup: Setup, recordings: Sequence[Recording]) -> PriorFit | None:
     """Fit the recipe's prior to this motion, by its function or by the start; None: the recipe has none.
 
     Raises:
         TrainingError: too little motion.
     """
-    recipe, config = job.config.row, job.config.prior
+    recipe, config = run.config.row, run.config.prior
     if recipe.fit is None:
         return None
-    if (started := job.start.fit(setup, recordings, config)) is not None:
+    if (started := run.start.fit(setup, recordings, config)) is not None:
         return started
     fit: Fit = resolve_name(recipe.fit)
     bent = with_presliding(setup, config.widths_rad) if recipe.presliding else setup
-    known = job.constants.kinematics if job.constants else None
-    return fit(bent, recordings, config=config, report=job.say, known=known)
+    known = run.constants.kinematics if run.constants else None
+    return fit(bent, recordings, config=config, report=run.say, known=known)
 
 
 def with_fit(setup: Setup, fit: PriorFit | None) -> Setup:
@@ -86,31 +86,31 @@ def with_fit(setup: Setup, fit: PriorFit | None) -> Setup:
     return setup if fit is None else replace(setup, prior=fit.settings)
 
 
-def put_prior(job: Job, bundle: Bundle, fit: PriorFit | None) -> None:
+def put_prior(run: TrainingRun, bundle: Bundle, fit: PriorFit | None) -> None:
     """Set the prior's facts, the limits' region and the bounds of the drift tracker.
 
     Called after the gate, which compares residuals without drift tracking.
     """
     if fit is None:
         return
-    job.facts["prior"] = prior_facts(fit, job.joints)
-    if held := held_sentence(job.facts["prior"]):
-        job.notes.append(held)
-    put_region(job, bundle, fit)
-    if job.config.row.drift:
-        set_drift(bundle, fit, job.config.drift)
+    run.facts["prior"] = prior_facts(fit, run.joints)
+    if held := held_sentence(run.facts["prior"]):
+        run.notes.append(held)
+    put_region(run, bundle, fit)
+    if run.config.row.drift:
+        set_drift(bundle, fit, run.config.drift)
 
 
-def put_coverage(job: Job, bundle: Bundle, setup: Setup) -> None:
+def put_coverage(run: TrainingRun, bundle: Bundle, setup: Setup) -> None:
     """Add the coverage of training motion and its facts, if the recipe has it."""
-    if not job.config.row.coverage:
+    if not run.config.row.coverage:
         return
-    fit = job.start.covered(fit_coverage(setup, job.motion.uncut), setup, job.motion.uncut)
+    fit = run.start.covered(fit_coverage(setup, run.motion.uncut), setup, run.motion.uncut)
     bundle.coverage = fit.settings
-    job.facts["coverage"] = coverage_facts(fit, job.joints)
+    run.facts["coverage"] = coverage_facts(fit, run.joints)
 
 
-def put_region(job: Job, bundle: Bundle, fit: PriorFit) -> None:
+def put_region(run: TrainingRun, bundle: Bundle, fit: PriorFit) -> None:
     """Set the presliding width that decides which region's limits apply."""
     if fit.settings.widths_rad:
-        bundle.region_width = region_width(fit.settings.widths_rad, job.config.prior)
+        bundle.region_width = region_width(fit.settings.widths_rad, run.config.prior)

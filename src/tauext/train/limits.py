@@ -28,7 +28,7 @@ from tauext.train.error_scale import (
     with_outputs,
 )
 from tauext.train.paper_limits import LimitMotion, ignore_standing, put_paper
-from tauext.train.preparation import Job
+from tauext.train.preparation import TrainingRun
 from tauext.train.promised_limits import put_promised
 from tauext.train.supported_limits import SupportedConfig, put_supported
 from tauext.train.wrench import fit_wrench
@@ -44,69 +44,69 @@ LIMITS: dict[str, Callable[[Bundle, LimitMotion], dict]] = {
 """For each kind, a function that sets a bundle's limits and returns facts of them, none for the paper's."""
 
 
-def put_limits(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> None:
+def put_limits(run: TrainingRun, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> None:
     """Set error scale, limits, hold times and the freeze of the drift tracker.
 
     Raises:
         ConfigError: promised limits without calibration recordings.
         TrainingError: too little free motion.
     """
-    config, kind = job.config, limits_kind(job.config, job.calibration)
+    config, kind = run.config, limits_kind(run.config, run.given.calibration)
     follows = config.resolved().error_scale == "on"
     if follows and kind == "supported" and bundle.region_width >= 0:
         bundle.near_memory_s = SupportedConfig.near_memory / bundle.observer.gain_per_s
-    if words := ignore_standing(bundle, [*job.training, *job.validation]):
-        job.notes.append(words)
-    unseen, left_out = unseen_motion(job, bundle, setup, fit)
+    if words := ignore_standing(bundle, [*run.training, *run.validation]):
+        run.notes.append(words)
+    unseen, left_out = unseen_motion(run, bundle, setup, fit)
     if config.row.presliding:
         bundle.after_contact_factor = config.alarm.after_contact_factor
     motion = LimitMotion(
-        job.name,
+        run.name,
         config.alarm,
-        job.threads,
+        run.threads,
         config.margins,
-        job.report,
-        job.notes.append,
-        calibration=job.calibration,
-        out=job.out,
-        suspects=len(job.suspects),
+        run.report,
+        run.notes.append,
+        calibration=run.given.calibration,
+        out=run.out,
+        suspects=len(run.suspects),
         unseen=unseen,
         left_out=left_out,
         fit=fit,
     )
-    motion = put_error_scale(job, bundle, motion, follows)
-    if (started := job.start.put_limits(job, bundle, kind)) is not None:
+    motion = put_error_scale(run, bundle, motion, follows)
+    if (started := run.start.put_limits(run, bundle, kind)) is not None:
         words, facts = started
-        job.notes.append(words)
+        run.notes.append(words)
     else:
         facts = LIMITS[kind](bundle, motion)
         if kind == "promised":
-            job.notes.append(facts["sentence"])
+            run.notes.append(facts["sentence"])
     if fit is not None:
         freeze_drift(bundle, config.drift)
     if facts:  # those of the paper's recipes are as they are
-        job.facts["limits"], job.facts["torque_step_nm"] = facts, torque_steps_nm(bundle, job.training)
-        job.notes.extend(put_limit_findings(bundle, job.facts))
+        run.facts["limits"], run.facts["torque_step_nm"] = facts, torque_steps_nm(bundle, run.training)
+        run.notes.extend(put_limit_findings(bundle, run.facts))
 
 
-def put_error_scale(job: Job, bundle: Bundle, motion: LimitMotion, follows: bool) -> LimitMotion:
+def put_error_scale(run: TrainingRun, bundle: Bundle, motion: LimitMotion, follows: bool) -> LimitMotion:
     """Set the error scale and the errors of forces; returns the motion with its errors and poses.
 
     Args:
         follows: whether limits follow the error that the motion announces; else the scale is constant.
     """
     judged = motion.judged if follows else motion.unseen or motion.judged
-    rows = collect_rows(bundle, judged, job.threads, job.config.margins)
+    rows = collect_rows(bundle, judged, run.threads, run.config.margins)
     if not follows:
         put_constant_error(bundle, rows)
     else:
-        started = job.start.put_scale(job, bundle, rows)
-        job.facts["error_scale"] = fit_error_scale(bundle, rows, job.config.drift) if started is None else started
+        started = run.start.put_scale(run, bundle, rows)
+        run.facts["error_scale"] = fit_error_scale(bundle, rows, run.config.drift) if started is None else started
         for one in motion.left_out:
             assert one.bundle is not None
             one.bundle.error_scale = bundle.error_scale
-    job.facts["wrench"] = job.facts.get("wrench", {}) | fit_wrench(bundle, judged, job.threads, job.config.margins)
-    return replace(motion, rows=rows, poses=job.facts["wrench"].get("poses", []))
+    run.facts["wrench"] = run.facts.get("wrench", {}) | fit_wrench(bundle, judged, run.threads, run.config.margins)
+    return replace(motion, rows=rows, poses=run.facts["wrench"].get("poses", []))
 
 
 def limits_kind(config: TrainConfig, calibration: Sequence[object], folder: Path | None = None) -> str:
@@ -142,13 +142,15 @@ def no_calibration(folder: Path | None) -> str:
     return f"needs calibration recordings, which the dataset has none of; {more}"
 
 
-def unseen_motion(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> tuple[list[Judged], list[Judged]]:
+def unseen_motion(
+    run: TrainingRun, bundle: Bundle, setup: Setup, fit: PriorFit | None
+) -> tuple[list[Judged], list[Judged]]:
     """Free motion not used in training the bundle or its cross-validation priors."""
     by_fit = fit is not None and not bundle.has_network
     # Without a network, the prior was finally fitted to the validation motion too.
-    recordings = [] if by_fit and not job.validation else job.motion.for_limits
-    unseen = [with_outputs(bundle, recording, job.threads) for recording in recordings]
-    left_out = left_out_of_fit(bundle, fit, setup, job.reference(setup)) if by_fit and fit is not None else []
+    recordings = [] if by_fit and not run.validation else run.motion.for_limits
+    unseen = [with_outputs(bundle, recording, run.threads) for recording in recordings]
+    left_out = left_out_of_fit(bundle, fit, setup, run.reference(setup)) if by_fit and fit is not None else []
     return unseen, left_out
 
 

@@ -13,22 +13,13 @@ from tauext.bundle.units import left_out
 from tauext.config import PriorConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, RobotError
-from tauext.fit.find_kinematics import LEAST_ROWS, PIECE_S, Candidate, Kinematics, KinematicSample, all_pieces, refined
+from tauext.fit.find_kinematics import ArmSearch, Candidate, Kinematics, KinematicSample, all_pieces, refined
 from tauext.fit.prior_terms import PriorFit, own_terms
 from tauext.fit.training_set import Setup
 from tauext.robot.frames import load_frame
-from tauext.train.preparation import Job
+from tauext.train.preparation import TrainingRun
 
 # --- Accuracy of an arm found in the motion for loads not in training.
-
-
-PROBE_M = 0.1
-"""Distance of the probe's centre of mass along the last axis: about that of a flange."""
-
-OFF_M = 0.2
-"""Initial error of lengths: half a link, large enough to be noticed, and the search still converges."""
-STANDS_OUT = 3.0
-"""Least weight torque in multiples of the error; a wrong sign would be off by twice the torque."""
 
 
 def load_disagreement(
@@ -36,25 +27,25 @@ def load_disagreement(
 ) -> float | None:
     """Relative difference of a load's torques between arms refitted to each half of the motion.
 
-    Axes are kept. Lengths start off by OFF_M, differently for each half, and are fitted to that half: a length not
-    determined by the motion stays wrong and increases the difference. The result is the largest root mean square over
-    joints, divided by the largest weight torque of the load.
+    Axes are kept. Lengths start off by half a link, 0.2 m, differently for each half, and are fitted to that half: a
+    length not determined by the motion stays wrong and increases the difference. The result is the largest root mean
+    square over joints, divided by the largest weight torque of the load.
 
     Returns:
         The share; None if a half is too short, or nothing weighs on the arm.
     """
     own = [own_terms(setup, config, joint) for joint in range(setup.tree.size)]
     joints = tuple(link.joint_name for link in setup.tree.links)
-    parts = all_pieces(recordings, PIECE_S)
+    parts = all_pieces(recordings, ArmSearch.piece_s)
     arms = []
     for seed, half in enumerate((parts[: len(parts) // 2], parts[len(parts) // 2 :])):
         sample = KinematicSample(setup.tree, setup.observer, half, own, setup.widths_rad)
-        if sample.rows < LEAST_ROWS:
+        if sample.rows < ArmSearch.least_rows:
             return None
-        shifts = np.random.default_rng(seed).normal(size=(sample.joints, 2)) * OFF_M
+        shifts = np.random.default_rng(seed).normal(size=(sample.joints, 2)) * 0.2
         off = kinematics.moved(np.zeros((sample.joints, 2)), shifts)
         start = Candidate(off, np.inf, np.ones(sample.joints))
-        arms.append(refined(sample, joints, start, frozenset()).kinematics)
+        arms.append(refined(sample, start, frozenset()).kinematics)
     poses = np.concatenate([recording.q[:: max(1, recording.samples // 500)] for recording in recordings])
     first, second = (weight(arm, joints, setup.tree.gravity, np.ascontiguousarray(poses)) for arm in arms)
     apart = np.sqrt(np.mean((first - second) ** 2, axis=0)).max()
@@ -67,31 +58,25 @@ def last_axis_shows(
 ) -> bool:
     """Whether the last link's weight torque on its own joint exceeds the prior's error there, error_nm.
 
-    Otherwise the direction of its axis is unknown, and so is the place of a load.
+    Otherwise the direction of its axis is unknown, and so is the place of a load. A wrong sign would be off by twice
+    the torque, so three errors are asked for.
     """
     poses = np.ascontiguousarray(np.concatenate([one.q[:: max(1, one.samples // 500)] for one in recordings]))
     torque = _core.Tree(list(links), list(gravity)).momentum(poses, np.zeros_like(poses))[1][:, -1]
-    return bool(np.sqrt(np.mean(torque**2)) > STANDS_OUT * error_nm)
+    return bool(np.sqrt(np.mean(torque**2)) > 3.0 * error_nm)
 
 
 def weight(kinematics: Kinematics, joints: Sequence[str], gravity: Sequence[float], poses: np.ndarray) -> np.ndarray:
-    """Torques of a kilogram at the end of a weightless arm, (poses, joints) [N m]."""
+    """Torques of a kilogram, 0.1 m along the last axis of a weightless arm as at a flange, (poses, joints) [N m]."""
     links = kinematics.tree(joints, gravity).links
-    links[-1].mass, links[-1].com = 1.0, [0.0, 0.0, PROBE_M]
+    links[-1].mass, links[-1].com = 1.0, [0.0, 0.0, 0.1]
     return _core.Tree(links, list(gravity)).momentum(poses, np.zeros_like(poses))[1]
 
 
 # --- Loads of the arm: frame and largest mass.
 
 
-MOST_POSES = 5000
-MOST_DISAGREEMENT = 0.1
-"""Largest relative difference of a load's torques between the halves' arms: three times a load's own error."""
-LEAST_REACH_M = 0.3
-LEAST_LEVER_NM = 1e-6  # for a kilogram; a smaller lever does not determine the mass
-
-
-def put_load(job: Job, bundle: Bundle, robot: Path, setup: Setup, fit: PriorFit | None) -> None:
+def put_load(run: TrainingRun, bundle: Bundle, robot: Path, setup: Setup, fit: PriorFit | None) -> None:
     """Enable loads in the bundle if its model allows it; otherwise report the reason.
 
     The frame is the robot file's (robot.load_frame), or the last link's of an arm found in the motion and confirmed by
@@ -106,12 +91,12 @@ def put_load(job: Job, bundle: Bundle, robot: Path, setup: Setup, fit: PriorFit 
         ConfigError: the requested load frame does not exist.
     """
     bundle.assume_load()
-    settings, asked = bundle.load_settings, job.config.load_frame
+    settings, asked = bundle.load_settings, run.config.load_frame
     carries = any(link.mass > 0 for link in bundle.links)
     newtons = not bundle.too_few_in_newtons("")
     if carries and newtons:
         try:
-            frame = load_frame(robot, job.tree, asked)
+            frame = load_frame(robot, run.tree, asked)
         except RobotError as error:
             if asked is not None:
                 raise ConfigError(str(error)) from error
@@ -120,59 +105,59 @@ def put_load(job: Job, bundle: Bundle, robot: Path, setup: Setup, fit: PriorFit 
         else:
             settings.frame, settings.link, settings.refused = frame.name, frame.link, ""
             settings.rotation, settings.translation = frame.rotation.ravel().tolist(), frame.translation.tolist()
-            limits = job.possible.torque_limit_nm
-            settings.largest_mass_kg = largest_mass_kg(job, settings, job.tree, limits) or settings.largest_mass_kg
+            limits = run.torque_limit_nm
+            settings.largest_mass_kg = largest_mass_kg(run, settings, run.tree, limits) or settings.largest_mass_kg
     elif asked is not None:
         raise ConfigError(f"load_frame = {asked}: the arm has no model with this frame")
     elif newtons and fit is not None and fit.kinematics is not None:
-        put_found_arm(job, bundle, settings, setup, fit, fit.kinematics)
+        put_found_arm(run, bundle, settings, setup, fit, fit.kinematics)
     bundle.load_settings = settings
     names = left_out(bundle)
-    job.facts["load"] = facts_of(settings) | ({"left_out": names} if names else {})
+    run.facts["load"] = facts_of(settings) | ({"left_out": names} if names else {})
 
 
 def put_found_arm(
-    job: Job, bundle: Bundle, settings: LoadSettings, setup: Setup, fit: PriorFit, found: Kinematics
+    run: TrainingRun, bundle: Bundle, settings: LoadSettings, setup: Setup, fit: PriorFit, found: Kinematics
 ) -> None:
     """Enable loads for an arm found in the motion, if its last axis is determined and both halves confirm its
     lengths."""
-    motion, last = job.motion.uncut, job.joints[-1]
+    motion, last = run.motion.uncut, run.joints[-1]
     if not last_axis_shows(fit.settings.corrected_links, bundle.gravity, motion, float(fit.error_nm[-1])):
         settings.refused = (
             "the bundle has no model of the arm, and the motion does not determine the direction of the axis of "
             f"{last}: hardly anything weighs on it"
         )
         return
-    share = load_disagreement(setup, motion, job.config.prior, found)
-    if share is None or share > MOST_DISAGREEMENT:
+    share = load_disagreement(setup, motion, run.config.prior, found)
+    if share is None or share > 0.1:  # three times a load's own error
         why = (
             "there is too little motion to check it" if share is None else f"its halves differ by {share:.0%} of a load"
         )
         settings.refused = f"the bundle has no model of the arm, and the one found in the motion is uncertain: {why}"
         return
-    job.facts["load_disagreement"] = round(share, 4)
-    tree = found.tree(job.joints, job.tree.gravity)
+    run.facts["load_disagreement"] = round(share, 4)
+    tree = found.tree(run.joints, run.tree.gravity)
     length_m = sum(float(np.linalg.norm(link.translation)) for link in tree.links)
-    settings.frame, settings.link = f"axis of {last}", len(job.joints) - 1
-    settings.largest_reach_m = max(0.5 * length_m, LEAST_REACH_M)
+    settings.frame, settings.link = f"axis of {last}", len(run.joints) - 1
+    settings.largest_reach_m = max(0.5 * length_m, 0.3)
     settings.refused = ""
     limits = np.where(bundle.in_newtons, bundle.possible_torque_nm, np.inf)
-    settings.largest_mass_kg = largest_mass_kg(job, settings, tree, limits) or 1.0
+    settings.largest_mass_kg = largest_mass_kg(run, settings, tree, limits) or 1.0
 
 
-def largest_mass_kg(job: Job, settings: LoadSettings, tree: Tree, limits: np.ndarray) -> float | None:
+def largest_mass_kg(run: TrainingRun, settings: LoadSettings, tree: Tree, limits: np.ndarray) -> float | None:
     """Mass at the frame's origin whose weight takes a joint to its limit at some pose of training.
 
     None: no joint that the mass weighs on has a limit.
     """
-    poses = np.concatenate([recording.q for recording in job.training])
-    poses = np.ascontiguousarray(poses[:: max(1, len(poses) // MOST_POSES)])
+    poses = np.concatenate([recording.q for recording in run.training])
+    poses = np.ascontiguousarray(poses[:: max(1, len(poses) // 5000)])
     links = tree.links
     links[settings.link] = settings.merged(Load(1.0), links[settings.link])
     at_rest = np.zeros_like(poses)
     heavier = Tree(links, tree.gravity).momentum(poses, at_rest)[1] - tree.momentum(poses, at_rest)[1]
     levers = np.abs(heavier).max(axis=0)
-    bounded = np.isfinite(limits) & (levers > LEAST_LEVER_NM)
+    bounded = np.isfinite(limits) & (levers > 1e-6)  # for a kilogram; a smaller lever does not determine the mass
     return float((limits[bounded] / levers[bounded]).min()) if bounded.any() else None
 
 

@@ -28,7 +28,6 @@ from tauext.data.labels import Label
 from tauext.data.recording import Recording
 from tauext.data.servo import from_amperes, in_amperes
 from tauext.errors import ConfigError, TrainingError
-from tauext.files.plain_file import json_of, read_text
 from tauext.files.provenance import provenance
 from tauext.fit.bundle_writing import build_setup, reference_recording
 from tauext.fit.coverage import CoverageFit
@@ -60,48 +59,14 @@ def training_settings(case: ModelCase, config: TrainConfig, trains: bool = True)
     plain = asdict(config.resolved())
     if config.backend == "core":
         del plain["backend"]
-    if config.minutes is None:
-        del plain["minutes"]
+    for name in ("minutes", "load_frame", "fit_torque_constants", "torque_constants"):
+        if plain[name] is None:
+            del plain[name]
     if config.margins == FreeMotionConfig():
         del plain["margins"]
-    if config.load_frame is None:
-        del plain["load_frame"]
-    if config.fit_torque_constants is None:
-        del plain["fit_torque_constants"]
-    if config.torque_constants is None:
-        del plain["torque_constants"]
     unused = config.row.unused if trains else (*config.row.unused, *TRAINING_ONLY)
     settings = {"case": asdict(case), "config": {k: v for k, v in plain.items() if k not in unused}}
     return json.loads(json.dumps(settings))  # as read from a file: lists, no tuples
-
-
-def finished(bundle: Path, case: ModelCase, config: TrainConfig) -> bool:
-    """Whether this bundle was already trained with these settings.
-
-    Raises:
-        ConfigError: a bundle with other settings exists there.
-    """
-    run = bundle.with_suffix(".run.json")
-    if not bundle.exists() or not run.exists():
-        return False
-    settings = run_settings(run)
-    if settings == training_settings(case, config):
-        return True
-    raise ConfigError(f"{bundle}: it was trained with other settings; choose another --out or remove it")
-
-
-def run_settings(run: Path) -> dict:
-    """Read the settings in a run file.
-
-    Raises:
-        ConfigError: it is damaged.
-    """
-    try:
-        return json_of(read_text(run))["settings"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ConfigError(
-            f"{run}: not a readable run file ({error}); remove it and the bundle, or train elsewhere"
-        ) from error
 
 
 def why_impossible(recipe: Recipe, case: ModelCase) -> str | None:
@@ -112,10 +77,6 @@ def why_impossible(recipe: Recipe, case: ModelCase) -> str | None:
 
 
 # --- Recordings of a training: the chosen minutes, and the unit of tau.
-
-
-LEAST_S = 30.0
-"""Least motion for fitting torque constants without a model, [s]."""
 
 
 def chosen_recordings(
@@ -160,13 +121,14 @@ def wants_constants(config: TrainConfig, training: Sequence[Recording], case: Mo
     if not case.no_model:
         return in_amperes(training) or from_amperes(training)
     determined = in_amperes(training) or (from_amperes(training) and config.row.finds_arm)
-    return total_s(training) >= LEAST_S and determined
+    return total_s(training) >= 30 and determined
 
 
 # --- Stretches for training and for validation, and sentences about what is left out.
 
 
 VALIDATION_SHARE = 0.2
+"""Share of each training recording that validates where the dataset has no validation recordings."""
 NETWORK_LEAST_MIN = 30.0
 """Least motion for a network behind a prior without validation recordings, [minutes]. The end of a recording shows the
 same trajectory as its beginning; a network that helps there may harm on another one."""
@@ -301,68 +263,46 @@ def reach_s(config: TrainConfig) -> float:
 # --- Bounds of the arm, and the recordings without samples beyond them.
 
 
-AT_LIMIT = 0.999
-"""Share of a drive's limit at which a monitor reports saturation (SignalWatch::kSaturated)."""
 MOST_AT_LIMIT = 2e-3
 """Largest share of saturated training samples of a joint; seven joints together reach 1.4 % at most."""
 
 
-@dataclass(frozen=True)
-class PossibleMotion:
-    """Recordings without samples that a monitor of this bundle would refuse, with the arm's bounds."""
+def leave_out_impossible(run: TrainingRun) -> list[str]:
+    """Leave impossible samples out of a run's recordings, and find torque constants on the rest.
 
-    training: list[Recording]
-    validation: list[Recording]
-    bounds: SignalBounds
-    torque_limit_nm: np.ndarray
-    """Torque limit of each drive, infinite where unknown."""
-    constants: TorqueConstants | None
-    """Factors of tau; None: tau is in N m, or its unit is unknown."""
-    left_out: LeftOut
-    passed: np.ndarray
-    """Joints whose drive limit in the robot file is exceeded, (n,) bool; see passed_limits()."""
-
-
-def possible_motion(
-    tree: Tree,
-    case: ModelCase,
-    training: Sequence[Recording],
-    validation: Sequence[Recording],
-    torque_limit_nm: np.ndarray,
-    config: TrainConfig,
-) -> PossibleMotion:
-    """Leave impossible samples out and find torque constants on the rest.
+    Returns a sentence about limits of the robot file that are ignored, if some are.
 
     Bounds are in the unit of the bundle's estimates, which follows from the constants. Constants are fitted in the
     recordings' own unit, for which there is no drive limit.
-
-    Args:
-        training: at least one.
-        torque_limit_nm: the robot file's limit of each drive, infinite if missing.
 
     Raises:
         ConfigError: torque constants are not one a joint.
         TrainingError: too many samples are impossible, or the recordings' joints are not the model's.
     """
-    observer = build_setup(tree, training[0], config.observer, config.recipe, config.filters).observer
-    constants = None
+    config, training = run.config, run.training
+    observer = build_setup(run.tree, training[0], config.observer, config.recipe, config.filters).observer
     if config.torque_constants is not None:
-        constants = known_constants(config.torque_constants, training)
-        observer = with_constants(observer, constants.used)
-    elif wants_constants(config, training, case):
+        run.constants = known_constants(config.torque_constants, training)
+    elif wants_constants(config, training, run.given.case):
         parts = possible_parts(training, observer, signal_bounds(training), LeftOut("training"))
         free = free_pieces(parts, config.margins)
-        constants = fit_torque_constants(tree, free, config.observer, from_amperes(training))
-        observer = with_constants(observer, constants.used)
-    drives = np.where(in_newton_metres(constants, training, config), torque_limit_nm, np.inf)
-    free = free_pieces(training, config.margins)
-    passed = passed_limits(free, drives, constants.used if constants else (1.0,))
-    drives = np.where(passed, np.inf, drives)
-    bounds = signal_bounds(training, drives, constants.used if constants else (1.0,))
-    left_out = LeftOut("training and validation" if validation else "training")
-    learned_on = possible_parts(training, observer, bounds, left_out)
-    validated_on = possible_parts(validation, observer, bounds, left_out)
-    return PossibleMotion(learned_on, validated_on, bounds, drives, constants, left_out, passed)
+        run.constants = fit_torque_constants(run.tree, free, config.observer, from_amperes(training))
+    factors = run.constants.used if run.constants else (1.0,)
+    if run.constants:
+        observer = with_constants(observer, factors)
+    limits_nm = torque_limits(run.given.robot, run.joints)
+    drives = np.where(in_newton_metres(run.constants, training, config), limits_nm, np.inf)
+    passed = passed_limits(free_pieces(training, config.margins), drives, factors)
+    run.torque_limit_nm = np.where(passed, np.inf, drives)
+    run.bounds = signal_bounds(training, run.torque_limit_nm, factors)
+    left_out = LeftOut("training and validation" if run.validation else "training")
+    run.training, run.validation = (
+        possible_parts(some, observer, run.bounds, left_out) for some in (training, run.validation)
+    )
+    if left_out.found:
+        run.notes.append(left_out.sentence())
+        run.facts["impossible"] = left_out.facts()
+    return [passed_sentence(passed, run.joints, limits_nm)] if passed.any() else []
 
 
 def passed_limits(free: Sequence[Recording], torque_limit_nm: np.ndarray, nm_per_unit: Sequence[float]) -> np.ndarray:
@@ -376,7 +316,8 @@ def passed_limits(free: Sequence[Recording], torque_limit_nm: np.ndarray, nm_per
     """
     if not free:
         return np.zeros(len(torque_limit_nm), dtype=bool)
-    at_limit = [np.abs(one.tau * nm_per_unit) >= AT_LIMIT * torque_limit_nm for one in free]
+    # A monitor reports saturation from 0.999 of the limit on (SignalWatch::kSaturated).
+    at_limit = [np.abs(one.tau * nm_per_unit) >= 0.999 * torque_limit_nm for one in free]
     return np.asarray(np.concatenate(at_limit).mean(axis=0) >= MOST_AT_LIMIT)
 
 
@@ -425,7 +366,7 @@ class Start:
         """
         return config
 
-    def begin(self, job: Job, setup: Setup) -> None:
+    def begin(self, run: TrainingRun, setup: Setup) -> None:
         """Add facts for provenance.
 
         Raises:
@@ -444,11 +385,11 @@ class Start:
         """Familiar motion: that of these recordings, and what the start adds."""
         return fit
 
-    def put_scale(self, job: Job, bundle: Bundle, rows: ErrorRows) -> dict | None:
+    def put_scale(self, run: TrainingRun, bundle: Bundle, rows: ErrorRows) -> dict | None:
         """Set the error scale for errors like these; returns its facts. None: it is fitted to them."""
         return None
 
-    def put_limits(self, job: Job, bundle: Bundle, kind: str) -> tuple[str, dict] | None:
+    def put_limits(self, run: TrainingRun, bundle: Bundle, kind: str) -> tuple[str, dict] | None:
         """Set limits in place of those of this kind; returns their basis as text, and facts. None: it sets none."""
         return None
 
@@ -491,26 +432,34 @@ class TrainingInput:
         _ = self.tree  # cached for the training
 
 
-@dataclass(frozen=True)
-class Job:
-    """State of a training: settings, data and results so far."""
+@dataclass
+class TrainingRun:
+    """A training: what it is given, the settings, the data that it uses, and its results so far."""
 
-    tree: Tree
-    case: ModelCase
+    given: TrainingInput
     config: TrainConfig
     out: Path
-    possible: PossibleMotion
-    calibration: list[Callable[[], Recording]]
-    """Loaders of recordings, contacts included."""
-    motion: TrainingMotion
+    """The bundle to write, NAME.tauext."""
     report: Reporter
-    run: dict
-    """Provenance: settings, versions, seed and the recordings' names."""
+    times: WallTimes
+    """Wall times of the training's phases."""
+    provenance: dict
+    """Settings, versions, seed and the recordings' names."""
+    training: list[Recording]
+    """Training recordings of the chosen minutes, contacts included, without impossible samples."""
+    validation: list[Recording]
+    """Validation recordings, contacts included, without impossible samples."""
+    constants: TorqueConstants | None = None
+    """Factors of the recordings' tau; None: tau is in N m, or its unit is unknown."""
+    bounds: SignalBounds = field(init=False)
+    """Signals that the arm can have."""
+    torque_limit_nm: np.ndarray = field(init=False)
+    """Torque limit of each drive, infinite where unknown."""
+    motion: TrainingMotion = field(init=False)
+    notes: list[str] = field(default_factory=list)
+    """Sentences for the user and the run file; each step adds its own."""
     facts: dict = field(default_factory=dict)
     """Facts for provenance; each step adds its own."""
-    start: Start = NOTHING
-    times: WallTimes = field(default_factory=WallTimes)
-    """Wall times of the training's phases."""
     suspects: Sequence[Suspect] = ()
     """Touches that nobody reported, left out of the motion."""
 
@@ -520,35 +469,25 @@ class Job:
         return self.out.stem
 
     @property
+    def tree(self) -> Tree:
+        """The estimated model."""
+        return self.given.tree
+
+    @property
+    def start(self) -> Start:
+        """What the training begins with."""
+        return self.given.start
+
+    @property
     def joints(self) -> tuple[str, ...]:
         """Names of the joints, in the recordings' order."""
         return self.training[0].joints
-
-    @property
-    def training(self) -> list[Recording]:
-        """Training recordings of the chosen minutes, contacts included, without impossible samples."""
-        return self.possible.training
-
-    @property
-    def validation(self) -> list[Recording]:
-        """Validation recordings, contacts included, without impossible samples."""
-        return self.possible.validation
-
-    @property
-    def constants(self) -> TorqueConstants | None:
-        """Factors of the recordings' tau; None: tau is in N m, or its unit is unknown."""
-        return self.possible.constants
 
     @property
     def units(self) -> TorqueUnits:
         """Units of the bundle's inputs and estimates."""
         given = given_unit(self.config, self.training)
         return self.constants.units(given) if self.constants else TorqueUnits(given)
-
-    @property
-    def notes(self) -> list[str]:
-        """Sentences for the user and the run file; each step adds its own."""
-        return self.motion.notes
 
     @property
     def threads(self) -> int:
@@ -564,36 +503,32 @@ class Job:
         self.report.say(f"{self.name}: {sentence}")
 
 
-def prepare(given: TrainingInput, config: TrainConfig, out: Path, report: Reporter) -> Job:
+def prepare(
+    given: TrainingInput, config: TrainConfig, out: Path, report: Reporter, times: WallTimes | None = None
+) -> TrainingRun:
     """Cut to the chosen minutes, leave out impossible samples and contacts, and find torque constants.
 
     See train_on_recordings for the arguments.
 
     Raises:
         ConfigError: the case or the recordings do not allow the settings.
-        TrainingError: too little motion, or too much
-        of it is impossible.
+        TrainingError: too little motion, or too much of it is impossible.
     """
     if impossible := why_impossible(config.row, given.case):
         raise ConfigError(impossible)
     training, validation = chosen_recordings(given.training, given.validation, config)
     expect_some(training)
-    limits_nm = torque_limits(given.robot, training[0].joints)
-    possible = possible_motion(given.tree, given.case, training, validation, limits_nm, config)
     learns = given.start.learns
-    motion = training_motion(possible.training, possible.validation, config, learns)
+    made_by = provenance(
+        "tauext train", training_settings(given.case, config, trains=learns), config.seed if learns else None
+    )
+    made_by["recordings"] = {"train": [r.name for r in training], "validation": [r.name for r in validation]}
+    run = TrainingRun(given, config, out, report, times or WallTimes(), made_by, list(training), list(validation))
+    ignored = leave_out_impossible(run)
+    run.motion = training_motion(run.training, run.validation, config, learns)
+    run.notes += [*run.motion.notes, *ignored]
     out.parent.mkdir(parents=True, exist_ok=True)
-    settings = training_settings(given.case, config, trains=learns)
-    run = provenance("tauext train", settings, config.seed if learns else None)
-    run["recordings"] = {"train": [r.name for r in training], "validation": [r.name for r in validation]}
-    calibration = list(given.calibration)
-    job = Job(given.tree, given.case, config, out, possible, calibration, motion, report, run, start=given.start)
-    if possible.passed.any():
-        job.notes.append(passed_sentence(possible.passed, training[0].joints, limits_nm))
-    if possible.left_out.found:
-        job.notes.insert(0, possible.left_out.sentence())
-        job.facts["impossible"] = possible.left_out.facts()
-    return job
+    return run
 
 
 def passed_sentence(passed: np.ndarray, joints: Sequence[str], limits_nm: np.ndarray) -> str:

@@ -39,7 +39,7 @@ from tauext.train.fitting import (
 from tauext.train.limits import limits_kind, put_limits, refuse_limits
 from tauext.train.load_frame import put_load
 from tauext.train.network import assemble, choose_gain, fit_network
-from tauext.train.preparation import NOTHING, Job, Start, TrainingInput, prepare
+from tauext.train.preparation import NOTHING, Start, TrainingInput, TrainingRun, prepare
 from tauext.train.suspects import (
     Suspect,
     are_same,
@@ -52,14 +52,6 @@ from tauext.train.suspects import (
 from tauext.train.writing import put_wrench, write
 
 # --- Least time and memory of a training, checked before anything is loaded.
-
-
-FLOPS_A_CORE = 2e11
-"""Upper bound of a core's speed in single precision (32 sums and products a cycle at 3 GHz), so times are bounds."""
-LEAST_INPUTS = 3
-"""Fewest inputs of a network: one joint's q(k), dq(k) and dq(k-1)."""
-BYTES_A_SEQUENCE = 3 * 8
-"""Memory of a training step for the drawn sequences and the rows at which they end."""
 
 
 def accepted_settings(
@@ -92,23 +84,23 @@ def expect_size(config: TrainConfig) -> None:
     config = config.resolved()
     if config.row.network is None or config.batch is None:
         return
-    expect_memory(BYTES_A_SEQUENCE * config.batch, f"batch = {config.batch}")
+    expect_memory(24 * config.batch, f"batch = {config.batch}")
     window = max(1, int(config.observer.window_s / config.observer.network_period_s))
     length = window
     if config.row.draws:
         length += max(0, (config.targets or 1) - round(config.row.drawing.early_targets * window))
     # An epoch has at least one batch.
     steps = min(config.epochs or config.max_steps or 1, config.max_steps or config.epochs or 1)
-    a_step = 3 * 2 * 4 * config.hidden * (config.hidden + LEAST_INPUTS)  # backward costs twice forward
+    a_step = 3 * 2 * 4 * config.hidden * (config.hidden + 3)  # backward costs twice forward
     flops = float(steps) * config.batch * length * a_step
     work = f"a training of {steps} steps of {config.batch} sequences of {length} with {config.hidden} hidden units"
-    expect_time(flops / (FLOPS_A_CORE * (os.cpu_count() or 1)), work)
+    expect_time(flops / (2e11 * (os.cpu_count() or 1)), work)
 
 
 # --- A network behind a prior is used only where it helps.
 
 
-def gate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> tuple[Bundle, PriorFit | None]:
+def gate(run: TrainingRun, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> tuple[Bundle, PriorFit | None]:
     """Disable the network for joints where it does not help; returns the final bundle and its prior.
 
     If no joint keeps a network that was validated on motion cut off from training, the prior is refitted to all motion.
@@ -117,13 +109,13 @@ def gate(job: Job, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> tuple[
         setup: without the prior.
     """
     if bundle.has_network:
-        gate = apply_gate(bundle, job.motion.validation, job.config.gate_margin, job.threads)
-        job.facts["gate"] = {name: gate.reason(j, job.config.gate_margin) for j, name in enumerate(job.joints)}
-    if bundle.has_network or not job.motion.network or job.validation:
+        gate = apply_gate(bundle, run.motion.validation, run.config.gate_margin, run.threads)
+        run.facts["gate"] = {name: gate.reason(j, run.config.gate_margin) for j, name in enumerate(run.joints)}
+    if bundle.has_network or not run.motion.network or run.validation:
         return bundle, fit
-    fit = fit_prior(job, setup, job.motion.uncut)
-    job.notes.append("no joint has a network, so the prior was fitted to all of the motion in the end")
-    return assemble(job, with_fit(setup, fit)), fit
+    fit = fit_prior(run, setup, run.motion.uncut)
+    run.notes.append("no joint has a network, so the prior was fitted to all of the motion in the end")
+    return assemble(run, with_fit(setup, fit)), fit
 
 
 # --- One bundle from recordings of free motion: prepare, observe, fit, gate, calibrate, write.
@@ -226,70 +218,66 @@ def train_on_recordings(
         FaultyDataError: the limits have a fault that is not accepted; a checkpoint stays.
     """
     times = WallTimes() if times is None else times
-    job, setup, fit = fitted(given, config, out, report, times)
-    suspects, searched, free = list[Suspect](), [*job.training, *job.validation], given
-    for _ in range(SEARCHES):
+    run, setup, fit = fitted(given, config, out, report, times)
+    suspects, searched, free = list[Suspect](), [*run.training, *run.validation], given
+    for _ in range(2):
         with times.phase("suspects"):
-            found = training_suspects(job, setup, fit, searched, given.labels)
+            found = training_suspects(run, setup, fit, searched, given.labels)
         if are_same(found, suspects):
             break
         suspects = found
-        job.say("fitting again without suspected touches")
+        run.say("fitting again without suspected touches")
         training, validation = (without_suspects(some, suspects) for some in (given.training, given.validation))
         free = replace(given, training=training, validation=validation)
-        job, setup, fit = fitted(free, config, out, report, times)
+        run, setup, fit = fitted(free, config, out, report, times)
     recorded, given = given, free
     if suspects:
-        job = replace(job, suspects=suspects)
-        job.notes.extend(suspect_sentences(suspects))
-        job.facts["suspects"] = suspect_facts(suspects)
+        run.suspects = suspects
+        run.notes.extend(suspect_sentences(suspects))
+        run.facts["suspects"] = suspect_facts(suspects)
     if checked is not None:
-        job.facts["checks"] = checked
+        run.facts["checks"] = checked
     # Check before a long training: rejected motion does not depend on the network.
     with times.phase("observe"):
-        rejected = Rejected.of(assemble(job, with_fit(setup, fit)), job.possible.training, job.threads)
+        rejected = Rejected.of(assemble(run, with_fit(setup, fit)), run.training, run.threads)
     if words := rejected.warning("its own training motion", accept or ()):
-        job.facts["rejected"] = asdict(rejected.summary())
-        job.notes.append(words)
-    network = fit_network(job, with_fit(setup, fit))
+        run.facts["rejected"] = asdict(rejected.summary())
+        run.notes.append(words)
+    network = fit_network(run, with_fit(setup, fit))
     with times.phase("gate"):
-        bundle = assemble(job, with_fit(setup, fit), network)
+        bundle = assemble(run, with_fit(setup, fit), network)
         if config.row.gated:
-            bundle, fit = gate(job, bundle, setup, fit)
+            bundle, fit = gate(run, bundle, setup, fit)
     with times.phase("calibrate"):
-        complete(job, bundle, given, setup, fit)
+        complete(run, bundle, given, setup, fit)
     if signals and given.start is NOTHING and not bundle.has_network:
         with times.phase("signals"):
-            compare_signals(job, bundle, recorded)
+            compare_signals(run, bundle, recorded)
     if accept is not None:
-        refuse_limits(job.facts, str(out), accept)
-    write(job, bundle, network)
+        refuse_limits(run.facts, str(out), accept)
+    write(run, bundle, network)
     return suspects
 
 
 def fitted(
     given: TrainingInput, config: TrainConfig, out: Path, report: Reporter, times: WallTimes
-) -> tuple[Job, Setup, PriorFit | None]:
-    """The prepared job, its setup without the prior, and the prior; see train_on_recordings."""
+) -> tuple[TrainingRun, Setup, PriorFit | None]:
+    """The prepared run, its setup without the prior, and the prior; see train_on_recordings."""
     with times.phase("prepare"):
-        job = replace(prepare(given, config, out, report), times=times)
-    job.say("observing the motion")
+        run = prepare(given, config, out, report, times)
+    run.say("observing the motion")
     with times.phase("observe"):
-        setup = observe(job)
-    job.start.begin(job, setup)
+        setup = observe(run)
+    run.start.begin(run, setup)
     if config.row.fit is not None:
-        job.say("fitting friction and model")
+        run.say("fitting friction and model")
     with times.phase("fit"):
-        setup, fit = fit_with_gain(job, setup)
-    return job, setup, fit
-
-
-SEARCHES = 2
-"""Most searches for suspects: touches distort the first fit, and the second finds them more exactly."""
+        setup, fit = fit_with_gain(run, setup)
+    return run, setup, fit
 
 
 def training_suspects(
-    job: Job, setup: Setup, fit: PriorFit | None, recordings: Sequence[Recording], labels: Sequence[Label]
+    run: TrainingRun, setup: Setup, fit: PriorFit | None, recordings: Sequence[Recording], labels: Sequence[Label]
 ) -> list[Suspect]:
     """Touches that nobody reported in the motion of a training; none for recipes without a prior, whose errors are
     those of friction.
@@ -301,51 +289,51 @@ def training_suspects(
     """
     if fit is None or not any(map(is_unreported, recordings)):
         return []
-    bundle = assemble(job, with_fit(setup, fit))
-    put_region(job, bundle, fit)
-    if job.config.row.drift:
-        set_drift(bundle, fit, job.config.drift)
-    if job.config.resolved().error_scale == "on":
-        bundle.error_scale = scale_of(collect_rows(bundle, job.motion.uncut, job.threads, job.config.margins))
-    return search(bundle, recordings, labels, job.threads, job.config.margins)
+    bundle = assemble(run, with_fit(setup, fit))
+    put_region(run, bundle, fit)
+    if run.config.row.drift:
+        set_drift(bundle, fit, run.config.drift)
+    if run.config.resolved().error_scale == "on":
+        bundle.error_scale = scale_of(collect_rows(bundle, run.motion.uncut, run.threads, run.config.margins))
+    return search(bundle, recordings, labels, run.threads, run.config.margins)
 
 
-def fit_with_gain(job: Job, setup: Setup) -> tuple[Setup, PriorFit | None]:
+def fit_with_gain(run: TrainingRun, setup: Setup) -> tuple[Setup, PriorFit | None]:
     """Fit the recipe's prior, and choose the observer gain where the settings leave it open."""
-    fit = fit_prior(job, setup, job.motion.training if job.motion.network else job.motion.uncut)
-    if fit is None or job.config.resolved().observer.gain_per_s != "auto":
+    fit = fit_prior(run, setup, run.motion.training if run.motion.network else run.motion.uncut)
+    if fit is None or run.config.resolved().observer.gain_per_s != "auto":
         return setup, fit
-    job.say("choosing the observer gain")
-    return choose_gain(job, setup, fit)
+    run.say("choosing the observer gain")
+    return choose_gain(run, setup, fit)
 
 
-def compare_signals(job: Job, bundle: Bundle, given: TrainingInput) -> None:
+def compare_signals(run: TrainingRun, bundle: Bundle, given: TrainingInput) -> None:
     """Note which signal of servos keeps the promise best, or which package compares them.
 
     Args:
         given: with suspected touches: each signal would suspect other moments, those of its own errors among them.
     """
-    if not makes_torque(job.training[0]):
+    if not makes_torque(run.training[0]):
         return
     try:
         compare = plugins.part("servo-signals")
     except ConfigError as missing:
-        job.notes.append(f"The servos' recorded signals are not compared: {missing}.")
+        run.notes.append(f"The servos' recorded signals are not compared: {missing}.")
         return
-    compare(job, bundle, given)
+    compare(run, bundle, given)
 
 
-def complete(job: Job, bundle: Bundle, given: TrainingInput, setup: Setup, fit: PriorFit | None) -> None:
+def complete(run: TrainingRun, bundle: Bundle, given: TrainingInput, setup: Setup, fit: PriorFit | None) -> None:
     """Complete a fitted bundle: limits, drift, load and forces; each step depends on those before.
 
     Args:
         setup: without the prior.
     """
-    put_prior(job, bundle, fit)  # region and drift: the errors from which limits follow depend on both
-    put_coverage(job, bundle, setup)
-    put_load(job, bundle, given.robot, with_fit(setup, fit), fit)  # the frame at which put_limits fits errors of forces
-    put_wrench(job, bundle, given.robot, given.meshes)  # settings and facts of forces, to which put_limits adds
-    if job.constants is not None:
-        job.notes.extend(job.constants.sentences(job.joints))
-    job.say("finding the limits")
-    put_limits(job, bundle, setup, fit)  # last: replays motion through the bundle, and caches peaks by its content
+    put_prior(run, bundle, fit)  # region and drift: the errors from which limits follow depend on both
+    put_coverage(run, bundle, setup)
+    put_load(run, bundle, given.robot, with_fit(setup, fit), fit)  # the frame at which put_limits fits errors of forces
+    put_wrench(run, bundle, given.robot, given.meshes)  # settings and facts of forces, to which put_limits adds
+    if run.constants is not None:
+        run.notes.extend(run.constants.sentences(run.joints))
+    run.say("finding the limits")
+    put_limits(run, bundle, setup, fit)  # last: replays motion through the bundle, and caches peaks by its content

@@ -7,7 +7,7 @@ Peaks of a joint's held error over the level u that a quarter of them exceeds ar
 
 of a generalised Pareto tail g, the errors of free motion, and touches, whose size has no scale. Since touches have
 their own term, they hardly move the tail: with 60 touches an hour, shape and scale are those of the untouched arm.
-Peaks beyond the level that the tail exceeds CHANCE times in all of this motion are suspects.
+Peaks beyond the level that the tail exceeds a tenth of a time in all of this motion are suspects.
 """
 
 from __future__ import annotations
@@ -25,78 +25,106 @@ from tauext.data.recording import Recording
 from tauext.train.error_scale import FOR_ERRORS, judge, judge_all
 from tauext.train.held_peaks import Peaks
 
+
+@dataclass(frozen=True)
+class SuspectConfig:
+    """Which errors of free motion are suspected to be touches; fewer suspects mean higher limits, more shorten them."""
+
+    hold_s: float = 0.02
+    """Least duration of a suspect, [s]: a touch outlasts it behind the observer, the spike of an abrupt stop does
+    not."""
+    upper_share: float = 0.25
+    """Share of the peaks to which the mixture is fitted ..."""
+    least_peaks: int = 40
+    """... but at least so many of them, or all but the lower half; with fewer, nothing is suspected."""
+    chance: float = 0.1
+    """Expected number of peaks of free motion beyond a joint's level in a region, however long the motion is."""
+    span: tuple[float, float] = (1.0, 50.0)
+    """Y_0 and Y_1: smallest touch that matters and largest one, as multiples of u above u."""
+    shape: float = -0.05
+    """Prior of the shape, and its standard deviation. Fits to untouched motion of simulated arms lie between -0.35 and
+    0.2; with a heavier tail, the touches themselves would be one."""
+    shape_error: float = 0.1
+    shares: tuple[float, ...] = (0.0, 0.001, 0.003, 0.01, 0.02, 0.04, 0.08, 0.15, 0.25, 0.35)
+    """Values of pi that are tried."""
+    join_s: float = 1.0
+    """Peaks less than this apart belong to one suspect, [s]."""
+    most_share: float = 0.1
+    """A larger share of suspects is an error of the model and no touches; nothing is then suspected."""
+    warm_s: float = 20.0
+    """Motion before a candidate from which the drift tracker and the filters start, [s]."""
+    near_s: float = 0.05
+    """Errors so long before the largest peak are compared between joints, [s]."""
+    lone: float = 1.5
+    """A joint is alone if all others are below this multiple of the peak that a quarter of their peaks exceed."""
+    most_friction: float = 2.5
+    """Friction stays below this multiple of the level that free motion exceeds once in ten such motions."""
+    turned_s: float = 1.0
+    """A joint that both rested and moved in so short a time has started, stopped or turned, [s]; by its commanded
+    positions where they are recorded."""
+    rests_rad_s: float = 0.02
+    moves_rad_s: float = 0.03
+    edge: float = 0.5
+    """A suspect reaches as far as the mean of its joints' errors exceeds this share of their levels ..."""
+    gap_s: float = 0.1
+    """... with gaps up to this, [s] ..."""
+    reach_s: float = 5.0
+    """... at most so far from its largest peak, [s]."""
+    same_rad: float = 0.05
+    """Candidates with the same joints in poses this close, [rad] ..."""
+    same_times: int = 3
+    """... so often, are an error that the motion repeats. So often in one recording, joints that turned alone err by
+    their friction."""
+
+
 # --- Levels beyond which a peak is a suspect.
 
 
-HOLD_S = 0.02
-"""Least duration of a suspect, [s]: a touch outlasts it behind the observer, the spike of an abrupt stop does not."""
-UPPER_SHARE = 0.25
-"""Share of the peaks to which the mixture is fitted ..."""
-LEAST_PEAKS = 40
-"""... but at least so many of them, or all but the lower half; with fewer, nothing is suspected."""
-CHANCE = 0.1
-"""Expected number of peaks of free motion beyond a joint's level in a region, however long the motion is."""
-SPAN = 1.0, 50.0
-"""Y_0 and Y_1: smallest touch that matters and largest one, as multiples of u above u."""
-SHAPES = np.linspace(-0.5, 0.25, 16)
-SHAPE, SHAPE_ERROR = -0.05, 0.1
-"""Prior of the shape. Fits to untouched motion of simulated arms lie between -0.35 and 0.2; with a heavier tail, the
-touches themselves would be one."""
-SHARES = np.array([0.0, 0.001, 0.003, 0.01, 0.02, 0.04, 0.08, 0.15, 0.25, 0.35])
-"""pi."""
-
-
-def suspect_level(peaks_nm: np.ndarray) -> float:
-    """Level that free motion exceeds CHANCE times, infinite for too few peaks.
+def suspect_level(peaks_nm: np.ndarray, config: SuspectConfig = SuspectConfig()) -> float:
+    """Level that free motion exceeds config.chance times, infinite for too few peaks.
 
     Args:
         peaks_nm: descending, (peaks,).
     """
     peaks = peaks_nm[peaks_nm > 0]
-    count = max(int(UPPER_SHARE * len(peaks)), min(LEAST_PEAKS, len(peaks) // 2))
-    if count < LEAST_PEAKS // 2:
+    count = max(int(config.upper_share * len(peaks)), min(config.least_peaks, len(peaks) // 2))
+    if count < config.least_peaks // 2:
         return np.inf
     u = float(peaks[count])
     excess = peaks[:count] / u - 1
     excess = excess[excess > 0]
-    if len(excess) < LEAST_PEAKS // 2:
+    if len(excess) < config.least_peaks // 2:
         return np.inf
     # Peaks in classes of 2 %: the likelihood then costs the same for a minute and a day.
-    edges = np.expm1(np.arange(0.0, np.log1p(SPAN[1]), 0.02))
+    least, most = np.log1p(config.span)
+    edges = np.expm1(np.arange(0.0, most, 0.02))
     counts = np.bincount(np.searchsorted(edges, np.minimum(excess, edges[-1])), minlength=len(edges) + 1)[1:]
     y, counts = edges[counts > 0], counts[counts > 0]
     scales = np.median(excess) / np.log(2) * np.exp(np.linspace(-1.0, 0.7, 35))
-    shape, scale = (one[:, :, None] for one in np.meshgrid(SHAPES, scales, indexing="ij"))
+    shape, scale = (one[:, :, None] for one in np.meshgrid(np.linspace(-0.5, 0.25, 16), scales, indexing="ij"))
     shape = np.where(np.abs(shape) < 1e-9, 1e-9, shape)
     inside = np.maximum(1 + shape * y / scale, 1e-12)
     tail = np.where(1 + shape * y / scale > 0, inside ** (-1 / shape - 1) / scale, 0.0)
-    touch = np.where(y > SPAN[0], 1 / ((1 + y) * (np.log1p(SPAN[1]) - np.log1p(SPAN[0]))), 0.0)
-    prior = -0.5 * ((shape[:, :, 0] - SHAPE) / SHAPE_ERROR) ** 2
+    touch = np.where(y > config.span[0], 1 / ((1 + y) * (most - least)), 0.0)
+    prior = -0.5 * ((shape[:, :, 0] - config.shape) / config.shape_error) ** 2
     best, found = -np.inf, (0.0, 1.0, 0.0)
-    for share in SHARES:
+    for share in config.shares:
         likely = prior + np.log((1 - share) * tail + share * touch + 1e-300) @ counts
         at = np.unravel_index(int(np.argmax(likely)), likely.shape)
         if likely[at] > best:
             best, found = float(likely[at]), (float(shape[at[0], 0, 0]), float(scale[0, at[1], 0]), float(share))
     xi, sigma, share = found
-    rarity = (1 - share) * len(excess) / CHANCE
+    rarity = (1 - share) * len(excess) / config.chance
     return u * (1 + sigma * np.expm1(xi * np.log(rarity)) / xi)
 
 
-def usual_peak(peaks_nm: np.ndarray) -> float:
+def usual_peak(peaks_nm: np.ndarray, config: SuspectConfig = SuspectConfig()) -> float:
     """u, infinite without peaks."""
     peaks = peaks_nm[peaks_nm > 0]
-    return float(np.quantile(peaks, 1 - UPPER_SHARE)) if len(peaks) else np.inf
+    return float(np.quantile(peaks, 1 - config.upper_share)) if len(peaks) else np.inf
 
 
 # --- Suspects: peaks beyond a level, and the time around them that belongs to the touch.
-
-
-JOIN_S = 1.0
-"""Peaks less than this apart belong to one suspect, [s]."""
-MOST_SHARE = 0.1
-"""A larger share of suspects is an error of the model and no touches; nothing is then suspected."""
-MOST_NAMED = 3
 
 
 @dataclass(frozen=True)
@@ -130,7 +158,13 @@ class Suspect:
     @property
     def is_evident(self) -> bool:
         """Whether it is called a touch: several joints err at once, or one by more than friction does."""
-        return len(self.joints) > 1 or self.times >= MOST_FRICTION
+        return len(self.joints) > 1 or self.times >= SuspectConfig.most_friction
+
+    @property
+    def widened(self) -> tuple[int, int]:
+        """First and last moment with the margins that are left out, after the recording's first sample, [ns]."""
+        margins = SUSPECT_MARGINS
+        return self.from_ns - round(1e9 * margins.before_s), self.to_ns + round(1e9 * margins.after_s)
 
     def meets(self, label: Label) -> bool:
         """Whether the label concerns some of this time."""
@@ -155,13 +189,10 @@ def are_same(some: Sequence[Suspect], others: Sequence[Suspect]) -> bool:
 
 
 def suspect_facts(suspects: Sequence[Suspect]) -> dict:
-    """Number and time of the suspects and the first LISTED, for provenance."""
+    """Number and time of the suspects and the first 100, for provenance."""
     names = ("recording", "from_ns", "to_ns", "joints", "times", "link")
-    listed = [{name: asdict(one)[name] for name in names} for one in suspects[:LISTED]]
+    listed = [{name: asdict(one)[name] for name in names} for one in suspects[:100]]
     return {"count": len(suspects), "seconds": round(_seconds(suspects), 3), "listed": listed}
-
-
-LISTED = 100
 
 
 def suspect_sentences(suspects: Sequence[Suspect], remedy: str = "set `contact` to 0 there") -> list[str]:
@@ -178,13 +209,13 @@ def suspect_sentences(suspects: Sequence[Suspect], remedy: str = "set `contact` 
         f"{'are' if several else 'is'} left out; if nothing touched the arm, {remedy}"
     )
     strongest = sorted(suspects, key=lambda one: -one.times)
-    more = len(suspects) - MOST_NAMED
-    return [words, *(one.sentence() for one in strongest[:MOST_NAMED]), *([f"and {more} more"] if more > 0 else [])]
+    more = len(suspects) - 3
+    return [words, *(one.sentence() for one in strongest[:3]), *([f"and {more} more"] if more > 0 else [])]
 
 
 def _seconds(suspects: Sequence[Suspect]) -> float:
-    margins_s = SUSPECT_MARGINS.before_s + SUSPECT_MARGINS.after_s
-    return sum(1e-9 * (one.to_ns - one.from_ns) + margins_s for one in suspects)
+    """Time that the suspects leave out, [s]."""
+    return sum(1e-9 * (one.widened[1] - one.widened[0]) for one in suspects)
 
 
 def unusual_sentence(suspects: Sequence[Suspect]) -> str:
@@ -209,6 +240,7 @@ def find_suspects(
     labels: Sequence[Label] = (),
     threads: int = 1,
     since: int = 0,
+    config: SuspectConfig = SuspectConfig(),
 ) -> list[Suspect]:
     """Intervals that look like touches, in order of recording and time.
 
@@ -217,25 +249,25 @@ def find_suspects(
     motion.
 
     Args:
-        peaks: of errors held for about HOLD_S.
+        peaks: of errors held for about config.hold_s.
         load: the recording of a number in the peaks.
         labels: of the recordings' folder; an interval that was answered with `nothing` is no suspect.
         since: recordings with smaller numbers were searched before.
     """
     levels, usual = (
-        np.array([[of(nm) for nm in of_joint] for of_joint in peaks.nm]) for of in (suspect_level, usual_peak)
+        np.array([[of(nm, config) for nm in of_joint] for of_joint in peaks.nm]) for of in (suspect_level, usual_peak)
     )
     levels[~np.array(bundle.monitored)] = np.inf
-    candidates = _candidates(peaks, levels)
-    if not candidates or _seconds(candidates) > MOST_SHARE * 3600 * peaks.hours:
+    candidates = _candidates(peaks, levels, config)
+    if not candidates or _seconds(candidates) > config.most_share * 3600 * peaks.hours:
         return []
     nothing = [one for one in labels if one.answer == "nothing"]
     places, shown = _core.PlaceModel(bundle), []
     for number in sorted({one.number for one in candidates if one.number >= since}):
         if is_unreported(recording := load(number)):
             of_this = [one for one in candidates if one.number == number]
-            shown += [_Shown.of(bundle, places, one, recording, levels, usual, threads) for one in of_this]
-    found = [one.suspect for one in shown if not one.is_friction(shown) and not one.is_repeated(shown)]
+            shown += [_Shown.of(bundle, places, one, recording, levels, usual, threads, config) for one in of_this]
+    found = [one.suspect for one in shown if not (one.is_friction(shown, config) or one.is_repeated(shown, config))]
     return _merged([one for one in found if not any(one.meets(label) for label in nothing)])
 
 
@@ -259,6 +291,7 @@ def search(
     labels: Sequence[Label] = (),
     threads: int = 1,
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
+    config: SuspectConfig = SuspectConfig(),
 ) -> list[Suspect]:
     """Suspects in recordings in memory, by their own errors alone; the bundle may be trained on them.
 
@@ -266,33 +299,32 @@ def search(
         labels: see find_suspects.
     """
     searched = [one for one in recordings if is_unreported(one)]
-    peaks = Peaks([link.joint_name for link in bundle.links], HOLD_S)
+    peaks = Peaks([link.joint_name for link in bundle.links], config.hold_s)
     for motion, estimates, error, counted in judge_all(bundle, searched, threads, margins):
         peaks.add(motion.name, motion.t_ns, error, estimates["near_stiction"], counted)
-    return find_suspects(bundle, peaks, searched.__getitem__, labels, threads)
+    return find_suspects(bundle, peaks, searched.__getitem__, labels, threads, config=config)
 
 
 def forget(peaks: Sequence[Peaks], suspects: Sequence[Suspect]) -> None:
     """Leave the peaks of suspects, with their margins, out."""
-    before, after = round(1e9 * SUSPECT_MARGINS.before_s), round(1e9 * SUSPECT_MARGINS.after_s)
     for one in suspects:
         for some in peaks:
-            some.forget(one.number, one.from_ns - before, one.to_ns + after)
+            some.forget(one.number, *one.widened)
 
 
 def without_suspects(recordings: Sequence[Recording], suspects: Sequence[Suspect]) -> list[Recording]:
     """The recordings with unknown contact at the suspects and their margins."""
-    before, after = round(1e9 * SUSPECT_MARGINS.before_s), round(1e9 * SUSPECT_MARGINS.after_s)
     changed = []
     for recording in recordings:
-        spans = [one.span for one in suspects if one.recording == recording.name]
-        spans = [(a, b) for a, b in spans if a <= recording.t_ns[-1] and b >= recording.t_ns[0]]
-        if spans:
+        here = [one for one in suspects if one.recording == recording.name]
+        here = [one for one in here if one.span[0] <= recording.t_ns[-1] and one.span[1] >= recording.t_ns[0]]
+        if here:
             contact = np.zeros(recording.samples, dtype=np.int8)
             if recording.contact is not None and not (recording.contact == -1).all():
                 contact[:] = recording.contact
-            for a, b in spans:
-                around = slice(*np.searchsorted(recording.t_ns, (a - before, b + after + 1)))
+            for one in here:
+                first, last = one.widened
+                around = slice(*np.searchsorted(recording.t_ns - one.begin_ns, (first, last + 1)))
                 contact[around] = np.where(contact[around] == 1, 1, -1)
             # Recordings without any known label count as free.
             recording = replace(recording, contact=np.full_like(contact, 1) if (contact == -1).all() else contact)
@@ -300,8 +332,8 @@ def without_suspects(recordings: Sequence[Recording], suspects: Sequence[Suspect
     return changed
 
 
-def _candidates(peaks: Peaks, levels: np.ndarray) -> list[Suspect]:
-    """Peaks beyond their levels, those less than JOIN_S apart together."""
+def _candidates(peaks: Peaks, levels: np.ndarray, config: SuspectConfig) -> list[Suspect]:
+    """Peaks beyond their levels, those less than config.join_s apart together."""
     columns = []
     for j, (of_nm, of_at) in enumerate(zip(peaks.nm, peaks.at, strict=True)):
         for nm, at, level in zip(of_nm, of_at, levels[j], strict=True):
@@ -311,7 +343,7 @@ def _candidates(peaks: Peaks, levels: np.ndarray) -> list[Suspect]:
     if not len(rows):
         return []
     rows = rows[np.lexsort((rows[:, 1], rows[:, 0]))]
-    apart = (np.diff(rows[:, 0]) != 0) | (np.diff(rows[:, 1]) >= JOIN_S * 1e9)
+    apart = (np.diff(rows[:, 0]) != 0) | (np.diff(rows[:, 1]) >= config.join_s * 1e9)
     found = []
     for group in np.split(rows, 1 + np.flatnonzero(apart)):
         number, first, last = int(group[0, 0]), int(group[0, 1]), int(group[-1, 1])
@@ -325,25 +357,6 @@ def _candidates(peaks: Peaks, levels: np.ndarray) -> list[Suspect]:
 # --- What the motion around a candidate shows.
 
 
-WARM_S = 20.0
-"""Motion before a candidate from which the drift tracker and the filters start, [s]."""
-NEAR_S = 0.05
-"""Errors so long before the largest peak are compared between joints, [s]."""
-LONE = 1.5
-"""A joint is alone if all others are below this multiple of the peak that a quarter of their peaks exceed."""
-MOST_FRICTION = 2.5
-"""Friction stays below this multiple of the level that free motion exceeds once in ten such motions."""
-TURNED_S, RESTS_RAD_S, MOVES_RAD_S = 1.0, 0.02, 0.03
-"""A joint that both rested and moved in so short a time has started, stopped or turned; by its commanded positions
-where they are recorded."""
-EDGE, GAP_S, REACH_S = 0.5, 0.1, 5.0
-"""A suspect reaches as far as the mean of its joints' errors exceeds this share of their levels, with gaps up to GAP_S,
-at most REACH_S."""
-SAME_RAD, SAME_TIMES = 0.05, 3
-"""Candidates with the same joints in poses this close, so often, are an error that the motion repeats. So often in one
-recording, joints that turned alone err by their friction."""
-
-
 @dataclass(frozen=True)
 class _Shown:
     """A candidate with the state at its largest peak."""
@@ -355,21 +368,21 @@ class _Shown:
     turned_alone: bool
     """Whether one joint alone errs that has just started, stopped or turned."""
 
-    def is_friction(self, others: Sequence[_Shown]) -> bool:
-        """Whether it turned alone and errs by no more than friction does, or as far SAME_TIMES in the recording."""
+    def is_friction(self, others: Sequence[_Shown], config: SuspectConfig) -> bool:
+        """Whether it turned alone and errs by no more than friction does, or does so too often in the recording."""
         mine = self.suspect.number, self.suspect.joints
         same = [one.turned_alone and (one.suspect.number, one.suspect.joints) == mine for one in others]
-        return self.turned_alone and (self.suspect.times < MOST_FRICTION or sum(same) >= SAME_TIMES)
+        return self.turned_alone and (self.suspect.times < config.most_friction or sum(same) >= config.same_times)
 
-    def is_repeated(self, others: Sequence[_Shown]) -> bool:
-        """Whether SAME_TIMES candidates, itself included, have its joints, pose and signs."""
+    def is_repeated(self, others: Sequence[_Shown], config: SuspectConfig) -> bool:
+        """Whether config.same_times candidates, itself included, have its joints, pose and signs."""
         same = [
             one.suspect.joints == self.suspect.joints
-            and bool((np.abs(one.q - self.q) < SAME_RAD).all())
+            and bool((np.abs(one.q - self.q) < config.same_rad).all())
             and bool((one.signs == self.signs).all())
             for one in others
         ]
-        return sum(same) >= SAME_TIMES
+        return sum(same) >= config.same_times
 
     @classmethod
     def of(
@@ -381,10 +394,11 @@ class _Shown:
         levels: np.ndarray,
         usual: np.ndarray,
         threads: int,
+        config: SuspectConfig,
     ) -> _Shown:
         """Run the bundle on the motion around a candidate."""
-        start, reach_ns = int(recording.t_ns[0]), round(1e9 * REACH_S)
-        wanted = start + one.from_ns - reach_ns - round(1e9 * WARM_S), start + one.to_ns + reach_ns
+        start, reach_ns = int(recording.t_ns[0]), round(1e9 * config.reach_s)
+        wanted = start + one.from_ns - reach_ns - round(1e9 * config.warm_s), start + one.to_ns + reach_ns
         motion = cut(recording, slice(*np.searchsorted(recording.t_ns, wanted)))
         margins = FreeMotionConfig()
         motion, estimates, error, counted = judge(bundle, motion, threads, margins, (*FOR_ERRORS, "sigma_nm"))
@@ -395,24 +409,24 @@ class _Shown:
         at = int(np.searchsorted(t_ns, one.at_ns))
 
         joints = [motion.joints.index(name) for name in one.joints]
-        since = int(np.searchsorted(t_ns, one.at_ns - NEAR_S * 1e9))
+        since = int(np.searchsorted(t_ns, one.at_ns - config.near_s * 1e9))
         most = motion.joints.index(one.joints[int(np.argmax(times[since : at + 1, joints].max(axis=0)))])
         others = np.delete(np.median(beside[since : at + 1], axis=0), most)
-        before = slice(int(np.searchsorted(t_ns, one.at_ns - TURNED_S * 1e9)), at + 1)
+        before = slice(int(np.searchsorted(t_ns, one.at_ns - config.turned_s * 1e9)), at + 1)
         if motion.q_des is None:
             speed = np.abs(motion.dq[before, most])
         else:  # a push moves a joint that is to rest
             speed = np.abs(np.gradient(motion.q_des[:, most], motion.time_s))[before]
-        turned = speed.min() < RESTS_RAD_S and speed.max() > MOVES_RAD_S
-        turned_alone = bool(turned and len(others) and others.max() < LONE)
+        turned = speed.min() < config.rests_rad_s and speed.max() > config.moves_rad_s
+        turned_alone = bool(turned and len(others) and others.max() < config.lone)
 
         epoch = epoch_of(recording.provenance)
         grown = replace(one, times=round(one.times, 3), begin_ns=start, epoch=epoch)
-        over = np.flatnonzero((times[:, joints].mean(axis=1) > EDGE) & (np.abs(t_ns - one.at_ns) < reach_ns))
+        over = np.flatnonzero((times[:, joints].mean(axis=1) > config.edge) & (np.abs(t_ns - one.at_ns) < reach_ns))
         if len(over):
-            gaps = np.flatnonzero(np.diff(t_ns[over]) > GAP_S * 1e9)
+            gaps = np.flatnonzero(np.diff(t_ns[over]) > config.gap_s * 1e9)
             begins, ends = t_ns[over[np.r_[0, gaps + 1]]], t_ns[over[np.r_[gaps, len(over) - 1]]]
-            meet = (ends >= one.from_ns - round(1e9 * HOLD_S)) & (begins <= one.to_ns)
+            meet = (ends >= one.from_ns - round(1e9 * config.hold_s)) & (begins <= one.to_ns)
             grown = replace(
                 grown,
                 from_ns=min([one.from_ns, *begins[meet].tolist()]),
@@ -423,10 +437,6 @@ class _Shown:
         return cls(grown, motion.q[at], signs, turned_alone)
 
 
-CONSISTENT = 0.01
-"""Least probability at which a force on a link explains the errors."""
-
-
 def link_of(places: _core.PlaceModel, motion: Recording, estimates: dict[str, np.ndarray], at: int) -> str:
     """Joint of the link on which a force explains the errors of a sample; empty: unknown, or no force does."""
     sigma = estimates["sigma_nm"][at]
@@ -435,6 +445,6 @@ def link_of(places: _core.PlaceModel, motion: Recording, estimates: dict[str, np
     found = places.find(
         motion.q[at].tolist(), estimates["tau_ext"][at].tolist(), sigma.tolist(), dq=motion.dq[at].tolist()
     )
-    if not found.known or not found.consistent >= CONSISTENT:
+    if not found.known or not found.consistent >= 0.01:
         return ""
     return str(motion.joints[found.ranked[0]])

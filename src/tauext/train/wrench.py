@@ -1,6 +1,6 @@
 r"""Correlation of the joints' errors in free motion, and size of the error ellipsoids of forces.
 
-With z = tau_ext / sigma of rows of free motion not used in training, clipped at CLIP, the correlation is
+With z = tau_ext / sigma of rows of free motion not used in training, clipped at 3, the correlation is
 
 .. math:: R = (1 - a)\,\hat R + a\,1, \qquad a = \max\left(A, \frac{n}{n + T}\right),
 
@@ -12,6 +12,7 @@ Unlike a mean, it covers heavy tails.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import gammaincinv
@@ -21,25 +22,28 @@ from tauext.config import FreeMotionConfig
 from tauext.data.recording import Recording
 from tauext.train.error_scale import FOR_ERRORS, Judged, judge_all
 
-CLIP = 3.0
-"""Bound of z, so that a single large error does not determine the correlation."""
-LEAST_SHRINK = 0.05
-"""A: limits correlations to 0.95, since an hour's correlation is not permanent."""
-HELD = 0.95
-"""Share of errors within the ellipsoids."""
-LEAST_RADIUS = 0.5
-"""Least radius. sigma is too large by a tenth to a quarter of the variance; a radius below half means that the motion
-was too slow. Errors that occur only under contact have their own term in the covariance."""
-MOST_ROWS = 100_000
-"""Most rows, an hour and a half at 20 Hz; quantiles do not change with more."""
-ROW_S = 0.05
-"""Period between rows: errors change within the observer's 1/K0."""
-LEAST_ROWS = 200
-"""Fewest rows for a quantile of 95 %; with fewer the radius stays 1."""
-POSES = 64
-"""Number of poses stored in a bundle: shares of them are accurate to 6 %, and they cover each joint's range."""
-POSE_DIGITS = 3
-"""Decimals of poses, [rad]; 0.001 rad moves the end of an arm by a millimetre."""
+
+@dataclass(frozen=True)
+class ForceErrors:
+    """How errors of forces are fitted to free motion."""
+
+    clip: float = 3.0
+    """Bound of z, so that a single large error does not determine the correlation."""
+    least_shrink: float = 0.05
+    """A: limits correlations to 0.95, since an hour's correlation is not permanent."""
+    held: float = 0.95
+    """Share of errors within the ellipsoids."""
+    least_radius: float = 0.5
+    """Least radius. sigma is too large by a tenth to a quarter of the variance; a radius below half means that the
+    motion was too slow. Errors that occur only under contact have their own term in the covariance."""
+    most_rows: int = 100_000
+    """Most rows, an hour and a half at 20 Hz; quantiles do not change with more."""
+    row_s: float = 0.05
+    """Period between rows, [s]: errors change within the observer's 1/K0."""
+    least_rows: int = 200
+    """Fewest rows for a quantile of 95 %; with fewer the radius stays 1."""
+    poses: int = 64
+    """Number of poses stored in a bundle: shares of them are accurate to 6 %, and they cover each joint's range."""
 
 
 def fit_wrench(
@@ -55,10 +59,10 @@ def fit_wrench(
     if refused := _core.WrenchModel(bundle).refused:
         return {"refused": refused}
     q, tau_ext, sigma = free_rows(bundle, judged, threads, margins)
-    if len(q) < LEAST_ROWS:
+    if len(q) < ForceErrors.least_rows:
         return {"rows": len(q), "poses": poses(q)}
     settings = bundle.wrench_settings
-    settings.correlation = correlation(tau_ext / sigma, len(q) * ROW_S).ravel().tolist()
+    settings.correlation = correlation(tau_ext / sigma, len(q) * ForceErrors.row_s).ravel().tolist()
     settings.radius = settings.residual_radius = [1.0, 1.0]
     bundle.wrench_settings = settings
     frame = outermost(bundle)
@@ -76,11 +80,11 @@ def fit_wrench(
 
 
 def poses(q: np.ndarray) -> list[list[float]]:
-    """Select at most POSES rows evenly in time, so that their shares are those of the motion."""
+    """Select some rows evenly in time, to 0.001 rad: a millimetre at the end of an arm."""
     if len(q) == 0:
         return []
-    at = np.unique(np.linspace(0, len(q) - 1, min(POSES, len(q))).round().astype(int))
-    found: list[list[float]] = np.round(q[at], POSE_DIGITS).tolist()
+    at = np.unique(np.linspace(0, len(q) - 1, min(ForceErrors.poses, len(q))).round().astype(int))
+    found: list[list[float]] = np.round(q[at], 3).tolist()
     return found
 
 
@@ -93,10 +97,10 @@ def outermost(bundle: _core.Bundle) -> str:
 def correlation(z: np.ndarray, seconds: float) -> np.ndarray:
     """R of the module's equation, (joints, joints); a joint without errors is independent of all."""
     joints = z.shape[1]
-    z = np.clip(z, -CLIP, CLIP)
+    z = np.clip(z, -ForceErrors.clip, ForceErrors.clip)
     size = np.sqrt(np.mean(z**2, axis=0))
     z = z / np.where(size > 0, size, 1.0)
-    shrink = max(LEAST_SHRINK, joints / (joints + seconds))
+    shrink = max(ForceErrors.least_shrink, joints / (joints + seconds))
     together = (1 - shrink) * (z.T @ z) / len(z)
     together = np.clip((together + together.T) / 2, -1, 1)
     np.fill_diagonal(together, 1.0)
@@ -109,7 +113,7 @@ def radius(
     """Factor on variances with which the 95 % ellipsoids contain 95 % of these rows, whose true values are 0."""
     wrenches = _core.WrenchModel(bundle).wrenches(frame, q, tau_ext, sigma, point)
     seen = (wrenches["freedom"] >= 0) & (wrenches["blind"] == 0)
-    if seen.sum() < LEAST_ROWS:  # no row observes all directions: use the rows that observe most
+    if seen.sum() < ForceErrors.least_rows:  # no row observes all directions: use the rows that observe most
         seen = wrenches["blind"] == wrenches["blind"].min()
     size = len(wrenches["covariance"][0])
     shown = size - int(wrenches["blind"][seen].min())
@@ -141,20 +145,21 @@ def residual(
         return 1.0
     usual = int(np.bincount(freedom).argmax())
     at = freedom == max(usual, 1)
-    return factor(wrenches["chi_square"][at], max(usual, 1)) if at.sum() >= LEAST_ROWS else 1.0
+    return factor(wrenches["chi_square"][at], max(usual, 1)) if at.sum() >= ForceErrors.least_rows else 1.0
 
 
 def factor(squared: np.ndarray, freedom: int) -> float:
     """Ratio of these values' 95 % quantile to a chi-square distribution's."""
-    chi_square = 2 * gammaincinv(freedom / 2, HELD)  # avoids scipy.stats, which takes a third of a second to import
-    return max(float(np.quantile(squared, HELD) / chi_square), LEAST_RADIUS)
+    # The inverse of scipy.stats.chi2, which takes a third of a second to import.
+    chi_square = 2 * gammaincinv(freedom / 2, ForceErrors.held)
+    return max(float(np.quantile(squared, ForceErrors.held) / chi_square), ForceErrors.least_radius)
 
 
 def free_rows(
     bundle: _core.Bundle, judged: Iterable[Recording | Judged], threads: int, margins: FreeMotionConfig
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return q, tau_ext and sigma of free motion, 3 x (rows, joints)."""
-    stride = max(1, round(ROW_S / (1e-9 * bundle.observer.sample_period_ns)))
+    stride = max(1, round(ForceErrors.row_s / (1e-9 * bundle.observer.sample_period_ns)))
     found = []
     for motion, estimates, _, counted in judge_all(bundle, judged, threads, margins, (*FOR_ERRORS, "sigma_nm")):
         counted &= np.isfinite(estimates["sigma_nm"]).all(axis=1) & (estimates["sigma_nm"] > 0).all(axis=1)
@@ -163,6 +168,6 @@ def free_rows(
     if not found:
         return (np.empty((0, bundle.joints)),) * 3
     rows = [np.concatenate(column) for column in zip(*found, strict=True)]
-    thin = max(1, -(-len(rows[0]) // MOST_ROWS))
+    thin = max(1, -(-len(rows[0]) // ForceErrors.most_rows))
     q, tau_ext, sigma = (np.ascontiguousarray(column[::thin]) for column in rows)
     return q, tau_ext, sigma

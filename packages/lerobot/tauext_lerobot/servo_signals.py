@@ -210,5 +210,5 @@ def limits_by(source: str, given: TrainingInput, run: TrainingRun) -> SignalLimi
     trained = prepare(other, run.config, run.out, SILENT)
     setup, fit = fit_with_gain(trained, observe(trained))
     bundle = assemble(trained, with_fit(setup, fit))
-    complete(trained, bundle, other, setup, fit)
+    complete(trained, bundle, setup, fit)
     return signal_limits(trained, bundle, source)

@@ -73,6 +73,9 @@ def inverse(matrix: np.ndarray) -> np.ndarray:
 
 RIDGES = 10.0 ** np.arange(-7, 2.0)
 FOLDS = 5
+RIDGE_TIE = 1e-6
+"""Share of the squared error by cross-validation: if the data determine everything, weak ridges differ by rounding
+alone, and the strongest of them is taken. A stronger ridge would distort what the data determine."""
 LEAST_SQUARE = 1e-12
 """Smallest mean square of a joint's r used as its weight, [N m squared]."""
 
@@ -159,13 +162,9 @@ class Regression:
         return solution
 
     def choose_ridge(self) -> tuple[float, np.ndarray]:
-        """The ridge of the least error by cross-validation over folds, and the RMSE on what was left out, (n,).
-
-        If the data determine everything, weak ridges differ by rounding alone, by less than 1e-6 of the squared error,
-        and the strongest of them is taken. A stronger ridge would distort what the data determine.
-        """
+        """The ridge of the least error by cross-validation over folds, and the RMSE on what was left out, (n,)."""
         errors = {float(ridge): self._left_out(float(ridge)) for ridge in reversed(RIDGES)}
-        ridge = simplest(list(errors), lambda one: float((errors[one] * self._weight).sum()), 1e-6)
+        ridge = simplest(list(errors), lambda one: float((errors[one] * self._weight).sum()), RIDGE_TIE)
         return ridge, np.sqrt(errors[ridge])
 
     def score(self, ridge: float) -> float:

@@ -20,6 +20,10 @@ from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial
 # --- Ridge regression of r on terms of a prior that went through the observer's filter.
 
 
+BLOCK = 2048
+"""Rows of the links' regressors held at a time: those of a whole recording take hundreds of MB."""
+
+
 @dataclass(frozen=True)
 class Regressors:
     """Regressors of r.
@@ -158,9 +162,8 @@ def _problems(
         squares, moments = X.T @ X, X.T @ y  # of all terms at once: most of them are common to all joints
         gram = [np.zeros((len(at) + corrections,) * 2) for at in terms_of]
         moment = [np.r_[moments[at, i], np.zeros(corrections)] for i, at in enumerate(terms_of)]
-        # The links' regressors of a whole recording take hundreds of MB.
-        for first in range(0, len(piece) if corrections else 0, 2048):
-            block = slice(first, first + 2048)
+        for first in range(0, len(piece) if corrections else 0, BLOCK):
+            block = slice(first, first + BLOCK)
             at = rows[of_piece][block]
             part, done = slice(done, int(at[-1]) + 1), int(at[-1]) + 1
             Z = model.rows(recording.t_ns[part], recording.q[part], recording.dq[part], at - part.start)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -76,7 +75,7 @@ def weight(kinematics: Kinematics, joints: Sequence[str], gravity: Sequence[floa
 # --- Loads of the arm: frame and largest mass.
 
 
-def put_load(run: TrainingRun, bundle: Bundle, robot: Path, setup: Setup, fit: PriorFit | None) -> None:
+def put_load(run: TrainingRun, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> None:
     """Enable loads in the bundle if its model allows it; otherwise report the reason.
 
     The frame is the robot file's (robot.load_frame), or the last link's of an arm found in the motion and confirmed by
@@ -96,7 +95,7 @@ def put_load(run: TrainingRun, bundle: Bundle, robot: Path, setup: Setup, fit: P
     newtons = not bundle.too_few_in_newtons("")
     if carries and newtons:
         try:
-            frame = load_frame(robot, run.tree, asked)
+            frame = load_frame(run.given.robot, run.tree, asked)
         except RobotError as error:
             if asked is not None:
                 raise ConfigError(str(error)) from error

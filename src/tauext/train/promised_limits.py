@@ -136,14 +136,8 @@ def promised_limits(
 
     The budget is the arm's: peaks of the held error exceed all limits together at most at its rate, with the confidence
     of the promise. How much of it each joint and region gets is chosen so that hits on the links are detected from the
-    smallest force on (rates_together). No limit is below a peak that its own share does not allow. A longer hold time
-    lowers the limits and delays every alarm. The chosen one detects a hard push first, with an observer output of S (1
-    - exp(-K0 t)):
-
-        t = -ln(1 - limit(hold) / S) / K0 + hold,     S = hard_push limit(0)
-
-    on the mean over joints in the sliding region. If the recordings are too short, the limits are set for the smallest
-    supported budget, and the promise states how much is missing.
+    smallest force on (rates_together). No limit is below a peak that its own share does not allow. If the recordings
+    are too short, the limits are set for the smallest supported budget, and the promise states how much is missing.
 
     Args:
         peaks: one for each of alarm.holds_s (collect_peaks).
@@ -167,13 +161,7 @@ def promised_limits(
 
     confidence = alarm.confidence if config.confidence is None else config.confidence
     choices = [limits(one, budget, confidence) for one in peaks]
-    first = choices[0][0][0]
-
-    def delay_s(choice: int) -> float:
-        share = np.minimum(choices[choice][0][0] / (config.hard_push * first), 0.999)
-        return float(np.mean(-np.log1p(-share)) / bundle.observer.gain_per_s + alarm.holds_s[choice])
-
-    best = simplest(range(len(peaks)), delay_s, config.hold_worth)
+    best = soonest([one[0][0] for one in choices], alarm.holds_s, bundle.observer.gain_per_s, config)
     collision, tails, rates = choices[best]
     # A contact's hold time is at least a collision's: its limits are no higher, so short errors would cross them at
     # once.
@@ -181,10 +169,27 @@ def promised_limits(
     held = max(held, best)
     contact = np.minimum(limits(peaks[held], FalseAlarmBudget(alarm.contacts_an_hour, 1.0), 0.5)[0], collision)
     moments = decisive_moments(peaks[best], rates, confidence, config)
-    holds_s = alarm.holds_s[best], alarm.holds_s[held]
     of_arm = np.full((2, len(REGIONS), bundle.joints), np.inf)
     of_arm[:, :, watched] = collision, contact
-    return PromisedLimits(of_arm[0], of_arm[1], *holds_s, promise, budget, tails, rates, moments)
+    return PromisedLimits(*of_arm, alarm.holds_s[best], alarm.holds_s[held], promise, budget, tails, rates, moments)
+
+
+def soonest(sliding_nm: Sequence[np.ndarray], holds_s: Sequence[float], gain_per_s: float, config: LimitsConfig) -> int:
+    """Which of these hold times detects a hard push first; a longer one lowers the limits and delays every alarm.
+
+    With an observer output of S (1 - exp(-K0 t)), on the mean over joints in the sliding region,
+
+        t = -ln(1 - limit(hold) / S) / K0 + hold,     S = hard_push limit(0)
+
+    Args:
+        sliding_nm: limits of each hold time, (joints,) each.
+    """
+
+    def delay_s(choice: int) -> float:
+        share = np.minimum(sliding_nm[choice] / (config.hard_push * sliding_nm[0]), 0.999)
+        return float(np.mean(-np.log1p(-share)) / gain_per_s + holds_s[choice])
+
+    return simplest(range(len(holds_s)), delay_s, config.hold_worth)
 
 
 def decisive_moments(peaks: Peaks, rates: np.ndarray, confidence: float, config: LimitsConfig) -> list[Moment]:

@@ -234,9 +234,6 @@ class Refitted:
 # --- A new bundle from an old one and today's motion: check, cut, fit, report changes, write.
 
 
-MARGINS = FreeMotionConfig()
-
-
 @dataclass(frozen=True)
 class Span:
     """Part of each recording that is used, [s] after its first sample.
@@ -284,9 +281,9 @@ def refit_bundle(
     Raises:
         FaultyDataError: a recording has a fault that is not accepted.
         ConfigError: no recording, or no sample in the span.
-        BundleError: no such bundle; joints, rate or timing of a
-        recording differ from the bundle's. TrainingError: the bundle has no prior; too little motion, or motion that no
-        friction explains or the bundle's monitor rejects.
+        BundleError: no such bundle; joints, rate or timing of a recording differ from the bundle's.
+        TrainingError: the bundle has no prior; too little motion, or motion that no friction explains or the bundle's
+            monitor rejects.
     """
     started = time.monotonic()
     expect_codes(accept)
@@ -307,21 +304,19 @@ def refit_bundle(
     if words := rejected.warning("today's motion", accept):
         report.say(words)
     refitted = refit_recordings(loaded, spans, threads, report, like)
-    facts = json.loads(loaded.provenance or "{}")
-    history = read_loss_history(loaded, bundle) or []
     settings = {
         "bundle": bundle.name,
         "bundle_sha256": file_sha256(bundle),
         "data": {file.name: file_sha256(file) for file in files},
         "span": asdict(span),
     }
-    facts["checks"] = facts.get("checks", {}) | checked
-    facts["refitted"] = provenance("tauext refit", settings, seed=None) | refitted.facts()
-    if like is not None:
-        facts["refitted"]["like"] = like.identity()
-    if words:
-        facts["refitted"]["rejected"] = asdict(rejected.summary())
+    made_by = provenance("tauext refit", settings, seed=None) | refitted.facts()
+    made_by |= {"like": like.identity()} if like is not None else {}
+    made_by |= {"rejected": asdict(rejected.summary())} if words else {}
+    facts = json.loads(loaded.provenance or "{}")
+    facts |= {"checks": facts.get("checks", {}) | checked, "refitted": made_by}
     refitted.bundle.name = out.stem
+    history = read_loss_history(loaded, bundle) or []
     write_bundle(refitted.bundle, out, facts, history, WallTimes({"refit": time.monotonic() - started}))
     return refitted
 
@@ -340,8 +335,7 @@ def refit_recordings(
 
     Raises:
         ConfigError: `like` does not apply to the bundle.
-        TrainingError: see
-        refit_bundle().
+        TrainingError: see refit_bundle().
     """
     if like is not None:
         like.expect_bundle(bundle)
@@ -349,7 +343,7 @@ def refit_recordings(
     parts = possible_parts(recordings, bundle.observer, SignalBounds.of(bundle), left_out)
     if note := left_out.sentence():
         report.say(note)
-    sources = [(r.t_ns, r.q, r.dq, r.tau, free_samples(r, MARGINS).astype(np.uint8)) for r in parts]
+    sources = [(r.t_ns, r.q, r.dq, r.tau, free_samples(r, FreeMotionConfig()).astype(np.uint8)) for r in parts]
     follows = np.zeros(bundle.joints, dtype=bool)
     try:
         found = _core.refit(bundle, sources, threads=threads or os.cpu_count() or 1)

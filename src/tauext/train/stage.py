@@ -218,23 +218,7 @@ def train_on_recordings(
         FaultyDataError: the limits have a fault that is not accepted; a checkpoint stays.
     """
     times = WallTimes() if times is None else times
-    run, setup, fit = fitted(given, config, out, report, times)
-    suspects, searched, free = list[Suspect](), [*run.training, *run.validation], given
-    for _ in range(2):
-        with times.phase("suspects"):
-            found = training_suspects(run, setup, fit, searched, given.labels)
-        if are_same(found, suspects):
-            break
-        suspects = found
-        run.say("fitting again without suspected touches")
-        training, validation = (without_suspects(some, suspects) for some in (given.training, given.validation))
-        free = replace(given, training=training, validation=validation)
-        run, setup, fit = fitted(free, config, out, report, times)
-    recorded, given = given, free
-    if suspects:
-        run.suspects = suspects
-        run.notes.extend(suspect_sentences(suspects))
-        run.facts["suspects"] = suspect_facts(suspects)
+    run, setup, fit = fitted_without_suspects(given, config, out, report, times)
     if checked is not None:
         run.facts["checks"] = checked
     # Check before a long training: rejected motion does not depend on the network.
@@ -249,14 +233,40 @@ def train_on_recordings(
         if config.row.gated:
             bundle, fit = gate(run, bundle, setup, fit)
     with times.phase("calibrate"):
-        complete(run, bundle, given, setup, fit)
+        complete(run, bundle, setup, fit)
     if signals and given.start is NOTHING and not bundle.has_network:
         with times.phase("signals"):
-            compare_signals(run, bundle, recorded)
+            compare_signals(run, bundle, given)
     if accept is not None:
         refuse_limits(run.facts, str(out), accept)
     write(run, bundle, network)
-    return suspects
+    return list(run.suspects)
+
+
+def fitted_without_suspects(
+    given: TrainingInput, config: TrainConfig, out: Path, report: Reporter, times: WallTimes
+) -> tuple[TrainingRun, Setup, PriorFit | None]:
+    """A fitted run without touches that nobody reported; see train_on_recordings.
+
+    They are searched twice at most: touches distort the first fit, and the second finds them more exactly.
+    """
+    run, setup, fit = fitted(given, config, out, report, times)
+    suspects, searched = list[Suspect](), [*run.training, *run.validation]
+    for _ in range(2):
+        with times.phase("suspects"):
+            found = training_suspects(run, setup, fit, searched, given.labels)
+        if are_same(found, suspects):
+            break
+        suspects = found
+        run.say("fitting again without suspected touches")
+        training, validation = (without_suspects(some, suspects) for some in (given.training, given.validation))
+        free = replace(given, training=training, validation=validation)
+        run, setup, fit = fitted(free, config, out, report, times)
+    if suspects:
+        run.suspects = suspects
+        run.notes.extend(suspect_sentences(suspects))
+        run.facts["suspects"] = suspect_facts(suspects)
+    return run, setup, fit
 
 
 def fitted(
@@ -323,7 +333,7 @@ def compare_signals(run: TrainingRun, bundle: Bundle, given: TrainingInput) -> N
     compare(run, bundle, given)
 
 
-def complete(run: TrainingRun, bundle: Bundle, given: TrainingInput, setup: Setup, fit: PriorFit | None) -> None:
+def complete(run: TrainingRun, bundle: Bundle, setup: Setup, fit: PriorFit | None) -> None:
     """Complete a fitted bundle: limits, drift, load and forces; each step depends on those before.
 
     Args:
@@ -331,8 +341,8 @@ def complete(run: TrainingRun, bundle: Bundle, given: TrainingInput, setup: Setu
     """
     put_prior(run, bundle, fit)  # region and drift: the errors from which limits follow depend on both
     put_coverage(run, bundle, setup)
-    put_load(run, bundle, given.robot, with_fit(setup, fit), fit)  # the frame at which put_limits fits errors of forces
-    put_wrench(run, bundle, given.robot, given.meshes)  # settings and facts of forces, to which put_limits adds
+    put_load(run, bundle, with_fit(setup, fit), fit)  # the frame at which put_limits fits errors of forces
+    put_wrench(run, bundle)  # settings and facts of forces, to which put_limits adds
     if run.constants is not None:
         run.notes.extend(run.constants.sentences(run.joints))
     run.say("finding the limits")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from tauext.errors import RobotError
 from tauext.fit.network_training import ScaledNetwork
 from tauext.robot.capsules import link_capsules
 from tauext.robot.frames import wrench_frames
-from tauext.robot.mesh_files import MeshFolders
 from tauext.train.network import CHECKPOINT
 from tauext.train.preparation import TrainingRun
 from tauext.train.promised_limits import remove_checkpoint
@@ -57,7 +55,7 @@ def facts_of(run: TrainingRun, bundle: Bundle, network: ScaledNetwork | None) ->
 # --- Accuracy of forces: the robot file's frames, and errors of the torque constants.
 
 
-def put_wrench(run: TrainingRun, bundle: Bundle, robot: Path, meshes: MeshFolders) -> None:
+def put_wrench(run: TrainingRun, bundle: Bundle) -> None:
     """Add the robot file's frames for forces, and the errors of the torque constants.
 
     Fitted constants have individual standard errors and a common one. Known constants, and torques recorded in N m, may
@@ -72,8 +70,8 @@ def put_wrench(run: TrainingRun, bundle: Bundle, robot: Path, meshes: MeshFolder
     settings.torque_share = share.tolist()
     if any(link.mass > 0 for link in bundle.links):
         try:
-            settings.frames = wrench_frames(robot, run.tree)
-            put_shapes(run, bundle, robot, meshes)
+            settings.frames = wrench_frames(run.given.robot, run.tree)
+            put_shapes(run, bundle)
         except RobotError as error:
             run.notes.append(f"forces are available at links only: {error}")
     bundle.wrench_settings = settings
@@ -81,9 +79,9 @@ def put_wrench(run: TrainingRun, bundle: Bundle, robot: Path, meshes: MeshFolder
     run.facts["wrench"] |= {"common_share": round(settings.common_share, 4)} if settings.common_share else {}
 
 
-def put_shapes(run: TrainingRun, bundle: Bundle, robot: Path, meshes: MeshFolders) -> None:
+def put_shapes(run: TrainingRun, bundle: Bundle) -> None:
     """Add capsules of the robot file's links to the bundle; links without a shape get estimated capsules on use."""
-    bundle.capsules, notes = link_capsules(robot, run.tree, meshes)
+    bundle.capsules, notes = link_capsules(run.given.robot, run.tree, run.given.meshes)
     shaped = {one.link for one in bundle.capsules}
     guessed = [link.joint_name for number, link in enumerate(bundle.links) if number not in shaped]
     run.facts["shapes"] = {"capsules": len(bundle.capsules), "guessed": guessed, "notes": notes}

@@ -33,7 +33,7 @@ from tauext.data.recording import SIGNALS, Recording
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.files.provenance import VERSION
 from tauext.fit.tail import rate_interval
-from tauext.train.error_scale import Judged, collect_rows, fit_error_scale
+from tauext.train.error_scale import HeldOut, collect_rows, fit_error_scale
 from tauext.train.held_peaks import collect_peaks
 from tauext.train.paper_limits import paper_limits, set_limits
 from tauext.train.promised_limits import promised_limits
@@ -154,12 +154,12 @@ def recordings(data: Path, names: tuple[str, ...]) -> Iterator[Recording]:
     return (load_recording(data / name) for name in names)
 
 
-def with_outputs(bundle: _core.Bundle, recording: Recording) -> Judged:
+def with_outputs(bundle: _core.Bundle, recording: Recording) -> HeldOut:
     """The recording with the network's outputs; they do not depend on limits."""
     if not bundle.has_network:
-        return Judged(recording)
+        return HeldOut(recording)
     signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
-    return Judged(recording, outputs=_core.network_outputs(bundle, *signals, 1, None))
+    return HeldOut(recording, outputs=_core.network_outputs(bundle, *signals, 1, None))
 
 
 def judged_bundles(path: Path, data: Path, split: Split) -> dict[str, _core.Bundle]:

@@ -181,7 +181,7 @@ def watching(tmp_path_factory):
 def test_the_monitor_tells_it_and_widens_its_limits_by_a_capped_share(watching):
     _, bundle, facts, made = watching
     assert facts["coverage"]["fastest_rad_s"]["elbow"] == bundle.coverage.fastest_rad_s[1]
-    signals = (made.t_ns, made.q, made.dq, made.tau)
+    signals = made.signals
     said, look = _core.Monitor(bundle).run(*signals), bundle.coverage.look(made.q, made.dq)
     # It never falls faster than the residual forgets.
     fades = np.exp(-bundle.observer.gain_per_s / 125)
@@ -213,7 +213,7 @@ def test_run_and_show_say_what_was_unfamiliar(watching, capsys):
     assert "of the motion was not in the training data: speed of" in text and "WARNING" in text
     main(["run", *files, "--json", "--status-hz", "10"])
     events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    said = _core.Monitor(bundle).run(made.t_ns, made.q, made.dq, made.tau)
+    said = _core.Monitor(bundle).run(*made.signals)
     told = said["unfamiliar"] >= 0.5
     summary = events[-1]
     assert summary["unfamiliar_share"] == pytest.approx(told.mean())

@@ -69,7 +69,7 @@ def test_the_bounds_are_a_share_of_the_friction_that_the_prior_found(fitted):
 def test_lower_friction_is_followed_and_the_monitor_says_the_same(fitted):
     bundle, fit = fitted
     made = with_dynamics(recording(9, seconds=60.0), friction=0.9)
-    signals = (made.t_ns, made.q, made.dq, made.tau)
+    signals = made.signals
     last = slice(-20_000, None)
     drifting = tracking(bundle, fit)
     before = _core.estimate(bundle, *signals, 1)["tau_ext"][last]
@@ -100,7 +100,7 @@ def test_friction_that_is_off_at_once_is_followed_although_it_looks_like_a_touch
     drifting.sliding_limit_nm = drifting.near_stiction_limit_nm = [1.0, 1.0]
     assert drifting.drift.friction_share == 0.4
     made = with_dynamics(recording(9, seconds=60.0), friction=0.75)
-    signals = (made.t_ns, made.q, made.dq, made.tau)
+    signals = made.signals
     said = _core.estimate(drifting, *signals, 1)
     slow = _core.Bundle.from_bytes(drifting.to_bytes())
     slow.drift.friction_share = 0.0
@@ -152,7 +152,7 @@ def test_a_drift_at_its_bound_is_reported_once(fitted, tmp_path, capsys):
     main(["run", str(tmp_path / "drifting.tauext"), str(tmp_path / "made.parquet"), "--json"])
     events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     drifts = [event for event in events if event["event"] == "drift"]
-    said = _core.Monitor(drifting).run(made.t_ns, made.q, made.dq, made.tau)["drift_saturated"]
+    said = _core.Monitor(drifting).run(*made.signals)["drift_saturated"]
     first = {joint: int(np.argmax(said[:, j])) for j, joint in enumerate(made.joints)}
     assert {event["joint"]: event["row"] for event in drifts} == first
     content = describe_bundle(tmp_path / "drifting.tauext")

@@ -20,7 +20,7 @@ from tauext.train.error_scale import (
     FEATURES,
     ErrorRows,
     ErrorScaleConfig,
-    Judged,
+    HeldOut,
     add_friction,
     collect_rows,
     fit_weights,
@@ -116,7 +116,7 @@ def test_limits_follow_the_motion_and_sigma_covers_left_out_errors(tmp_path, mon
     settings = {"recipe": "prior", "observer": ObserverConfig(gain_per_s=50.0)}
     bundle, facts = trained(tmp_path, monkeypatch, [noisy(1), noisy(2), noisy(3)], **settings)
     new = noisy(4)
-    said = _core.estimate(bundle, new.t_ns, new.q, new.dq, new.tau, 1)
+    said = _core.estimate(bundle, *new.signals, 1)
     healthy = said["health"] == 1
     assert facts["error_scale"]["power"] == ErrorScaleConfig.blunt
     for j in range(2):
@@ -153,7 +153,7 @@ def test_a_reserve_of_friction_is_added_at_every_speed(tmp_path, monkeypatch):
     at_rest, per_speed = np.array([2.0, 1.0]), np.array([0.5, 3.0])
     add_friction(more, 0.1, at_rest, per_speed)
     r = motion(seconds=20.0, seed=9)
-    before, after = (_core.estimate(b, r.t_ns, r.q, r.dq, r.tau, 1) for b in (bundle, more))
+    before, after = (_core.estimate(b, *r.signals, 1) for b in (bundle, more))
     scale = _core.Bundle.from_bytes(bundle.to_bytes()).error_scale
     motion_of_r = (r.t_ns, r.dq, *(before[name] for name in ("near_stiction", "entered", "restarted")))
     said = _core.motion_errors(bundle, *motion_of_r, np.arange(r.samples))
@@ -237,7 +237,7 @@ def test_calibrate_keeps_the_scale_or_fits_it_to_recordings_apart_from_those_of_
 def test_the_error_in_a_span_does_not_depend_on_what_follows(tmp_path, monkeypatch):
     bundle, _ = trained(tmp_path, monkeypatch, [motion()], recipe="prior")
     one, part = motion(seed=1), slice(2_000, 3_000)
-    whole, until = (judge(bundle, judged, 1, FreeMotionConfig()) for judged in (one, Judged(one, part)))
+    whole, until = (judge(bundle, judged, 1, FreeMotionConfig()) for judged in (one, HeldOut(one, part)))
     counted = until[3]
     assert until[0].samples == part.stop and counted[part].all() and not counted[: part.start].any()
     np.testing.assert_array_equal(whole[2][: part.stop], until[2])
@@ -278,7 +278,7 @@ def test_the_standard_error_is_that_of_each_region_and_limits_stay():
     np.testing.assert_allclose(scale.sigma_weights, [0.5, 0.2], rtol=0.04)
     np.testing.assert_allclose(scale.sigma_near_weights, [0.8, 0.3], rtol=0.04)
     made = motion(seconds=5.0, seed=4)
-    said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
+    said = _core.estimate(bundle, *made.signals, 1)
     healthy = said["health"] == 1
     assert (said["limit_scale"][healthy] == 1).all()
     expected = np.where(said["near_stiction"][healthy], scale.sigma_near_weights, scale.sigma_weights)

@@ -66,7 +66,7 @@ def empty(tmp_path_factory):
 
 
 def rows(recording: Recording, begin: int, end: int | None) -> list[np.ndarray]:
-    whole = (recording.t_ns, recording.q, recording.dq, recording.tau)
+    whole = recording.signals
     return [np.ascontiguousarray(a[begin:end]) for a in whole]
 
 

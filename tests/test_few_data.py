@@ -83,7 +83,7 @@ def test_one_recording_is_enough_and_the_run_file_says_how_it_was_used(tmp_path,
     assert facts["limits"]["minutes_factor"] > 1 and facts["error_scale"]["hours"] > 0
     assert facts["limits"]["other_motion"] == NOT_MEASURED and NOT_MEASURED["sentence"] in facts["notes"]
     other = motion(seed=7)
-    said = _core.estimate(bundle, other.t_ns, other.q, other.dq, other.tau, 1)
+    said = _core.estimate(bundle, *other.signals, 1)
     healthy = said["health"] == 1
     assert healthy.sum() > 4000 and not said["detection"][healthy].any()
     # What is left of friction and model on another motion is the torque's noise behind the observer, and little more.

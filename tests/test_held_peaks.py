@@ -71,7 +71,7 @@ def test_the_held_minimum_is_over_a_limit_exactly_while_the_cores_alarm_stands(h
     keep = np.ones(made.samples, dtype=bool)
     for start in rng.integers(1000, 5900, 60):
         keep[start : start + rng.integers(1, 6)] = False  # bridged: the monitor's network period is ten samples
-    samples = [np.ascontiguousarray(signal[keep]) for signal in (made.t_ns, made.q, made.dq, made.tau)]
+    samples = [np.ascontiguousarray(signal[keep]) for signal in made.signals]
     bundle = watching_bundle(network=False)
     bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [1e6] * 2
     bundle.contact_sliding_limit_nm = bundle.contact_near_stiction_limit_nm = [LIMIT_NM] * 2

@@ -53,7 +53,7 @@ def left_nm(setup: Setup, fit: PriorFit, recordings: list[Recording]) -> np.ndar
     """RMS of what the prior does not explain, (n,)."""
     errors = []
     for made in recordings:
-        said = _core.observe(setup.tree, setup.observer, made.t_ns, made.q, made.dq, made.tau, fit.settings)
+        said = _core.observe(setup.tree, setup.observer, *made.signals, fit.settings)
         errors.append((said.residual - said.prior)[said.warm.astype(bool)])
     return np.sqrt((np.concatenate(errors) ** 2).mean(axis=0))
 

@@ -186,7 +186,7 @@ def arm(tmp_path_factory):
 
 
 def arrays(recording: Recording, rows: slice) -> list[np.ndarray]:
-    return [np.ascontiguousarray(a[rows]) for a in (recording.t_ns, recording.q, recording.dq, recording.tau)]
+    return [np.ascontiguousarray(a[rows]) for a in recording.signals]
 
 
 def set_tool(monitor: _core.Monitor, since_ns: int | None = None) -> None:

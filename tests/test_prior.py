@@ -324,7 +324,7 @@ def where(fit: PriorFit, joint: int, kind: str, b: int = 0) -> int:
 
 def remaining(setup: Setup, fit: PriorFit, made: Recording) -> np.ndarray:
     """r minus prior after the warm-up, by the core."""
-    said = _core.observe(setup.tree, setup.observer, made.t_ns, made.q, made.dq, made.tau, fit.settings)
+    said = _core.observe(setup.tree, setup.observer, *made.signals, fit.settings)
     return (said.residual - said.prior)[said.warm.astype(bool)]
 
 
@@ -442,7 +442,7 @@ def test_without_a_model_gravity_and_inertia_terms_reach_the_noise():
 
 
 def remaining_without(setup: Setup, made: Recording) -> np.ndarray:
-    said = _core.observe(setup.tree, setup.observer, made.t_ns, made.q, made.dq, made.tau)
+    said = _core.observe(setup.tree, setup.observer, *made.signals)
     return said.residual[said.warm.astype(bool)]
 
 

@@ -51,7 +51,7 @@ def alarms_of(bundle: _core.Bundle, least: int) -> int:
     alarms = 0
     for k in range(10, 16):
         made = noisy(k)
-        said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
+        said = _core.estimate(bundle, *made.signals, 1)
         alarms += count_episodes(said["held_alarm"], made.t_ns, floor=least - 0.5)
     return alarms
 
@@ -175,7 +175,7 @@ def test_a_network_ships_only_where_it_lowers_the_error(weight, opened):
     gate = apply_gate(bundle, [made], 0.03, 1)
     assert gate.opened.tolist() == [opened] and bundle.has_network == opened
     assert ("prior and network" if opened else "prior only") in gate.reason(0, 0.03)
-    said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
+    said = _core.estimate(bundle, *made.signals, 1)
     error = said["tau_ext"][(said["health"] == 1)]
     expected = (gate.network_rmse_nm if opened else gate.prior_rmse_nm)[0]
     assert np.sqrt((error**2).mean()) == pytest.approx(expected, rel=1e-9)

@@ -78,7 +78,7 @@ def test_a_regression_baseline_is_one_row_and_one_fit_function(tmp_path, viscous
     assert [term.kind.name for term in bundle.prior.terms] == ["constant", "viscous"] * 2 and not bundle.has_network
     assert heard.sentences[-1].startswith("viscous: took ")
     made = motion(20.0, seed=2)
-    said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
+    said = _core.estimate(bundle, *made.signals, 1)
     healthy = said["health"] == OK
     rms = {name: np.sqrt(np.mean(said[name][healthy] ** 2, axis=0)) for name in ("residual", "tau_ext")}
     assert (rms["tau_ext"] < 0.5 * rms["residual"]).all()  # most of 3 Nm Coulomb and 2 Nm s/rad viscous friction
@@ -195,7 +195,7 @@ def test_a_monitor_takes_the_rates_of_its_training_and_no_others(tmp_path, unlim
     bundle = _core.Bundle.load(str(out))
     assert bundle.rate_tolerance == pytest.approx(0.08, abs=1e-4)
     for recording, cause in ((slow, False), (stretched(motion(40.0), 10), True)):
-        causes = _core.estimate(bundle, recording.t_ns, recording.q, recording.dq, recording.tau, 1)["causes"]
+        causes = _core.estimate(bundle, *recording.signals, 1)["causes"]
         assert ("wrong rate" in _core.cause_names(int(np.bitwise_or.reduce(causes)))) is cause
     train_on_recordings(TrainingInput(Path(), EXACT, [even], [], model=planar_arm()), config, out)
     assert _core.Bundle.load(str(out)).rate_tolerance == _core.RATE_TOLERANCE_RANGE[0] == 0.05

@@ -71,7 +71,7 @@ def fitted() -> tuple[_core.Bundle, PriorFit]:
 
 
 def tau_ext(bundle: _core.Bundle, made: Recording) -> np.ndarray:
-    said = _core.estimate(bundle, made.t_ns, made.q, made.dq, made.tau, 1)
+    said = _core.estimate(bundle, *made.signals, 1)
     return said["tau_ext"][said["health"] == 1]
 
 
@@ -206,7 +206,7 @@ def test_a_promise_stands_unless_a_minute_speaks_against_it(fitted):
         "promise": {"asked": {"alarms": 1, "hours": 8.0}, "confidence": 0.95},
         "set_for": "1 in 8 h",
     }
-    source = [(r.t_ns, r.q, r.dq, r.tau, None) for r in [day(coulomb=1.2)]]
+    source = [(*r.signals, None) for r in [day(coulomb=1.2)]]
     found = _core.refit(bundle, source)
     assert standing(found, bundle, limits, 0) == STANDS
     said = sentence(limits, found.used_s, [])
@@ -220,7 +220,7 @@ def test_a_promise_stands_unless_a_minute_speaks_against_it(fitted):
 
 def test_a_monitor_keeps_the_morning_for_the_same_refit(fitted):
     bundle, made = fitted[0], day(coulomb=1.3)
-    signals = (made.t_ns, made.q, made.dq, made.tau)
+    signals = made.signals
     monitor = _core.Monitor(bundle)
     with pytest.raises(_core.CoreError, match="reserve_refit"):
         monitor.start_refit()
@@ -256,14 +256,12 @@ def test_reset_restore_and_wrong_shares_end_or_leave_a_refit(fitted):
     made = day(seconds=1.0)
     for end in (monitor.reset, lambda: monitor.restore_state(state)):
         monitor.start_refit()
-        monitor.run(made.t_ns, made.q, made.dq, made.tau)
+        monitor.run(*made.signals)
         assert monitor.refit_full
         end()
         assert not monitor.refit_full
-        said = monitor.run(made.t_ns, made.q, made.dq, made.tau)
-        np.testing.assert_array_equal(
-            said["limit_nm"], _core.Monitor(bundle).run(*(made.t_ns, made.q, made.dq, made.tau))["limit_nm"]
-        )
+        said = monitor.run(*made.signals)
+        np.testing.assert_array_equal(said["limit_nm"], _core.Monitor(bundle).run(*made.signals)["limit_nm"])
 
 
 def test_a_span_is_seconds_of_the_recording():
@@ -389,8 +387,8 @@ def test_a_joint_is_refitted_about_what_is_expected_of_it(fitted):
     settings = _core.RefitSettings()
     settings.expected, settings.expected_error = [1.0, 1.2], [0.3, 0.04]
     made = stands()
-    found = _core.refit(bundle, [(made.t_ns, made.q, made.dq, made.tau, None)], settings)
-    plain = _core.refit(bundle, [(made.t_ns, made.q, made.dq, made.tau, None)])
+    found = _core.refit(bundle, [(*made.signals, None)], settings)
+    plain = _core.refit(bundle, [(*made.signals, None)])
     kinds = [term.kind for term in bundle.prior.terms if term.a == 1]
     ratio = own_weights(found.bundle, 1) / own_weights(bundle, 1)
     moves = np.array([kind in FRICTION_KINDS for kind in kinds])
@@ -406,4 +404,4 @@ def test_expectations_that_are_none_are_refused(fitted, wrong):
     settings, made = _core.RefitSettings(), stands()
     settings.expected, settings.expected_error = wrong
     with pytest.raises(_core.CoreError, match="a refit's expect"):
-        _core.refit(fitted[0], [(made.t_ns, made.q, made.dq, made.tau, None)], settings)
+        _core.refit(fitted[0], [(*made.signals, None)], settings)

@@ -1,8 +1,10 @@
 """Windows, training loop and bundle writing, on small recordings made here."""
 
+import io
 import json
 import os
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -51,10 +53,37 @@ def prepared(recordings):
     return setup, scaling, build_windows(setup, scaling, recordings)
 
 
+@pytest.fixture(scope="module")
+def one():
+    """Setup and windows of one recording."""
+    setup, _, windows = prepared([recording(1)])
+    return setup, windows
+
+
+@pytest.fixture(scope="module")
+def four():
+    """Setup and windows of four recordings."""
+    setup, _, windows = prepared([recording(k) for k in range(4)])
+    return setup, windows
+
+
+LONG = TrainConfig(recipe="paper", hidden=4, epochs=60, batch=200)
+
+
+@pytest.fixture(scope="module")
+def whole(four):
+    """The network of LONG, trained without an interruption."""
+    return train_network(*four, four[1], LONG)
+
+
+def trained_like(one, other) -> bool:
+    return one.parameters.tobytes() == other.parameters.tobytes() and one.history == other.history
+
+
 def test_windows_hold_the_papers_inputs_and_the_observers_residual():
     made = recording(1)
     setup, scaling, windows = prepared([made])
-    observation = _core.observe(setup.tree, setup.observer, made.t_ns, made.q, made.dq, made.tau)
+    observation = _core.observe(setup.tree, setup.observer, *made.signals)
     # Network samples are every tenth; the first that is warm (0.5 s) and has ten steps and one lag behind it is 500.
     assert windows.windows == (4000 - 500) // 10
     first = windows.ends[0] * 10
@@ -87,19 +116,11 @@ def test_windows_of_several_recordings_never_mix():
     np.testing.assert_array_equal(both.rows[len(separate[0].rows) :], separate[1].rows)
 
 
-def test_training_lowers_the_loss_and_the_same_seed_gives_the_same_bytes_on_any_number_of_threads():
-    setup, _, windows = prepared([recording(k) for k in range(4)])
+def test_training_lowers_the_loss_and_the_same_seed_gives_the_same_bytes_on_any_number_of_threads(four):
+    setup, windows = four
     config = TrainConfig(recipe="paper", hidden=8, epochs=20, batch=100, learning_rate=0.01, threads=1)
-    one = train_network(setup, windows, windows, config)
-    two = train_network(
-        setup,
-        windows,
-        windows,
-        TrainConfig(recipe="paper", hidden=8, epochs=20, batch=100, learning_rate=0.01, threads=2),
-    )
-    other = train_network(
-        setup, windows, windows, TrainConfig(recipe="paper", hidden=8, epochs=20, batch=100, learning_rate=0.01, seed=1)
-    )
+    changed = config, replace(config, threads=2), replace(config, seed=1)
+    one, two, other = (train_network(setup, windows, windows, some) for some in changed)
     assert one.parameters.tobytes() == two.parameters.tobytes()
     assert one.parameters.tobytes() != other.parameters.tobytes()
     assert one.history[-1][2] < 0.5 * np.mean(windows.target_rows[windows.ends] ** 2)
@@ -123,83 +144,63 @@ def interrupt(*_):
 
 
 @pytest.mark.parametrize("at", [1, 38, 200, 700])  # before the first entry, between two, and right after one
-def test_an_interrupted_run_goes_on_to_the_same_bytes(at, tmp_path, monkeypatch):
-    setup, _, windows = prepared([recording(k) for k in range(4)])
-    config = TrainConfig(recipe="paper", hidden=4, epochs=60, batch=200)
-    whole = train_network(setup, windows, windows, config)
-    path = tmp_path / "checkpoint.npz"
+def test_an_interrupted_run_goes_on_to_the_same_bytes(at, four, whole, tmp_path, monkeypatch):
+    arguments = *four, four[1], LONG, tmp_path / "checkpoint.npz", {"case": "exact"}
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         patch.setattr(_core, "lstm_gradient", stopped(_core.lstm_gradient, min(at, whole.steps), interrupt))
-        train_network(setup, windows, windows, config, path, {"case": "exact"})
-    assert path.exists()
-    resumed = train_network(setup, windows, windows, config, path, {"case": "exact"})
-    assert resumed.parameters.tobytes() == whole.parameters.tobytes()
-    assert resumed.history == whole.history
-    again = train_network(setup, windows, windows, config, path, {"case": "exact"}, interrupt)  # nothing is left to do
-    assert again.parameters.tobytes() == whole.parameters.tobytes() and again.history == whole.history
+        train_network(*arguments)
+    assert (tmp_path / "checkpoint.npz").exists()
+    assert trained_like(train_network(*arguments), whole)
+    assert trained_like(train_network(*arguments, interrupt), whole)  # nothing is left to do
 
 
-def test_an_interruption_while_a_loss_is_reported_changes_no_entry(tmp_path):
-    setup, _, windows = prepared([recording(k) for k in range(4)])
-    config = TrainConfig(recipe="paper", hidden=4, epochs=60, batch=200)
-    path = tmp_path / "checkpoint.npz"
+def test_an_interruption_while_a_loss_is_reported_changes_no_entry(four, whole, tmp_path):
+    arguments = *four, four[1], LONG, tmp_path / "checkpoint.npz", {}
     with pytest.raises(KeyboardInterrupt):
-        train_network(setup, windows, windows, config, path, {}, interrupt)
-    resumed = train_network(setup, windows, windows, config, path, {})
-    assert resumed.history == train_network(setup, windows, windows, config).history
+        train_network(*arguments, interrupt)
+    assert train_network(*arguments).history == whole.history
 
 
-def test_a_killed_training_loses_what_came_after_its_last_checkpoint_alone(tmp_path, monkeypatch):
-    setup, _, windows = prepared([recording(k) for k in range(4)])
-    config = TrainConfig(recipe="paper", hidden=4, epochs=60, batch=200)
+def test_a_killed_training_loses_what_came_after_its_last_checkpoint_alone(four, whole, tmp_path, monkeypatch):
     path, killed_at = tmp_path / "checkpoint.npz", 30
+    arguments = *four, four[1], LONG, path, {}
     monkeypatch.setattr(network_training, "CHECKPOINT_EVERY_S", 0.0)  # at every step
     pid = os.fork()
     if pid == 0:
         _core.lstm_gradient = stopped(_core.lstm_gradient, killed_at, lambda: os.kill(os.getpid(), signal.SIGKILL))
-        train_network(setup, windows, windows, config, path, {})
+        train_network(*arguments)
         os._exit(0)  # not reached
     assert os.WTERMSIG(os.waitpid(pid, 0)[1]) == signal.SIGKILL
     assert load_checkpoint({}, path).at[1].steps == killed_at - 1
-    resumed = train_network(setup, windows, windows, config, path, {})
-    whole = train_network(setup, windows, windows, config)
-    assert resumed.parameters.tobytes() == whole.parameters.tobytes() and resumed.history == whole.history
+    assert trained_like(train_network(*arguments), whole)
 
 
-def test_a_checkpoint_of_other_settings_is_refused_and_kept(tmp_path):
-    setup, _, windows = prepared([recording(1)])
-    path = tmp_path / "checkpoint.npz"
-
-    def interrupt(progress):
-        raise KeyboardInterrupt
-
-    config = TrainConfig(recipe="paper", hidden=4, epochs=1, batch=100)
+def test_a_checkpoint_of_other_settings_or_a_damaged_one_is_refused_and_kept(one, tmp_path):
+    path, settings = tmp_path / "checkpoint.npz", {"case": "exact", "seed": 0}
+    arguments = *one, one[1], TrainConfig(recipe="paper", hidden=4, epochs=1, batch=100), path
     with pytest.raises(KeyboardInterrupt):
-        train_network(setup, windows, windows, config, path, {"case": "exact", "seed": 0}, interrupt)
+        train_network(*arguments, settings, interrupt)
     with pytest.raises(ConfigError, match=r"other settings \(seed\)"):
-        train_network(setup, windows, windows, config, path, {"case": "exact", "seed": 1})
+        train_network(*arguments, settings | {"seed": 1})
     assert path.exists()
     with np.load(path) as stored:
-        whole = dict(stored)
-    for name, odd in (
-        ("parameters", np.full(len(whole["parameters"]), "a")),
-        ("m", whole["m"][1:]),
-        ("best", np.full_like(whole["best"], np.nan)),
+        kept = dict(stored)
+    damages = [
+        ("parameters", np.full(len(kept["parameters"]), "a")),
+        ("m", kept["m"][1:]),
+        ("best", np.full_like(kept["best"], np.nan)),
         ("history", np.array("strings")),
         ("settings", np.array('"text"')),
         ("seconds", np.array("soon")),
-    ):
-        with path.open("wb") as file:
-            np.savez(file, **whole | {name: odd})
+    ]
+    files = [io.BytesIO() for _ in range(len(damages) + 1)]
+    for file, (name, odd) in zip(files, damages, strict=False):
+        np.savez(file, **kept | {name: odd})
+    np.save(files[-1], np.array(["strings"]))
+    for content in (*(file.getvalue() for file in files), path.read_bytes()[:100]):
+        path.write_bytes(content)
         with pytest.raises(ConfigError, match="checkpoint cannot be read"):
-            train_network(setup, windows, windows, config, path, {"case": "exact", "seed": 0})
-    with path.open("wb") as file:
-        np.save(file, np.array(["strings"]))
-    with pytest.raises(ConfigError, match="checkpoint cannot be read"):
-        train_network(setup, windows, windows, config, path, {"case": "exact", "seed": 0})
-    path.write_bytes(path.read_bytes()[:100])
-    with pytest.raises(ConfigError, match="cannot be read"):
-        train_network(setup, windows, windows, config, path, {"case": "exact", "seed": 0})
+            train_network(*arguments, settings)
 
 
 def test_a_constant_target_is_an_error_that_names_the_joint():
@@ -210,12 +211,10 @@ def test_a_constant_target_is_an_error_that_names_the_joint():
         find_scaling(build_setup(planar_arm(), still, SMALL), [still])
 
 
-def test_a_diverging_loss_is_an_error_that_names_the_learning_rate():
-    setup, _, windows = prepared([recording(1)])
+def test_a_diverging_loss_is_an_error_that_names_the_learning_rate(one):
+    config = TrainConfig(recipe="paper", hidden=4, epochs=5, batch=100, learning_rate=1e3)
     with pytest.raises(TrainingError, match="diverges.*learning_rate = 1000"):
-        train_network(
-            setup, windows, windows, TrainConfig(recipe="paper", hidden=4, epochs=5, batch=100, learning_rate=1e3)
-        )
+        train_network(*one, one[1], config)
 
 
 @pytest.mark.parametrize(
@@ -240,7 +239,7 @@ def test_a_bundle_says_of_a_recording_what_the_network_was_trained_on(tmp_path):
     path = tmp_path / "small.tauext"
     bundle.save(str(path))
     loaded = _core.Bundle.load(str(path))
-    said = _core.estimate(loaded, made[0].t_ns, made[0].q, made[0].dq, made[0].tau, 2)
+    said = _core.estimate(loaded, *made[0].signals, 2)
     at = windows.ends[:350] * 10  # the first recording's windows are the first
     expected = _core.lstm_forward(
         network.shape, network.parameters, windows.rows, 1, setup.window_steps, setup.inputs, windows.ends[:350], 1
@@ -249,7 +248,7 @@ def test_a_bundle_says_of_a_recording_what_the_network_was_trained_on(tmp_path):
     np.testing.assert_array_equal(said["tau_ext"][at], (said["residual"] - said["network"])[at])
     # On the recordings that set the limit nothing exceeds it.
     for one in made[1:]:
-        assert not _core.estimate(loaded, one.t_ns, one.q, one.dq, one.tau, 1)["detection"].any()
+        assert not _core.estimate(loaded, *one.signals, 1)["detection"].any()
     assert np.isnan(said["network"][:500]).all() and not (said["health"][:500] == 1).any()
 
 
@@ -273,8 +272,8 @@ def test_dense_sequences_lie_whole_in_one_stretch_of_one_recording():
     assert not np.array_equal(schedule.ends(3), schedule.ends(4))
 
 
-def test_a_dense_sequence_with_one_target_is_the_papers_window():
-    setup, _, windows = prepared([recording(1)])
+def test_a_dense_sequence_with_one_target_is_the_papers_window(one):
+    setup, windows = one
     config = TrainConfig(recipe="dense", targets=1, batch=50, max_steps=5).resolved()
     schedule = DenseSchedule(setup, windows, config)
     assert (schedule.length, schedule.targets) == (setup.window_steps, 1)
@@ -284,15 +283,15 @@ def test_a_dense_sequence_with_one_target_is_the_papers_window():
     assert dense.gradient(start, schedule.ends(0))[1].tobytes() == paper.gradient(start, schedule.ends(0))[1].tobytes()
 
 
-def test_the_network_of_recipe_tauext_sees_a_whole_window_before_every_target():
-    setup, _, windows = prepared([recording(1)])
+def test_the_network_of_recipe_tauext_sees_a_whole_window_before_every_target(one):
+    setup, windows = one
     schedule = DenseSchedule(setup, windows, TrainConfig(recipe="tauext", targets=20, max_steps=10).resolved())
     assert schedule.length == setup.window_steps - 1 + 20
     assert (schedule.largest_gradient, schedule.square_decay) == (0.1, 0.999)
 
 
-def test_the_optimiser_of_the_dense_recipe_sees_larger_speeds_and_their_changes():
-    setup, _, windows = prepared([recording(1)])
+def test_the_optimiser_of_the_dense_recipe_sees_larger_speeds_and_their_changes(one):
+    setup, windows = one
     x = np.array([0.1, 0.2, 0.3, 0.4, 0.25, 0.45])  # q, dq, dq a step before
     basis = input_basis(setup, RECIPES["dense"].drawing)
     assert basis @ x == pytest.approx([0.1, 0.2, 1.5, 2.0, 75 * 0.05, -75 * 0.05])
@@ -316,8 +315,8 @@ def test_the_optimiser_of_the_dense_recipe_sees_larger_speeds_and_their_changes(
 
 
 @pytest.mark.parametrize("recipe", ["paper", "tauext"])
-def test_other_recipes_train_on_the_inputs_themselves(recipe):
-    setup, _, windows = prepared([recording(1)])
+def test_other_recipes_train_on_the_inputs_themselves(recipe, one):
+    setup, windows = one
     config = TrainConfig(recipe=recipe, hidden=3).resolved()
     assert isinstance(make_backend(setup, windows, config, setup.window_steps, 1), CoreBackend)
 
@@ -335,33 +334,28 @@ def test_adam_forgets_a_large_gradient_by_the_schedules_decay():
     assert PaperSchedule.square_decay == 0.999
 
 
-def test_the_dense_learning_rate_rises_and_falls_to_zero():
-    setup, _, windows = prepared([recording(1)])
-    schedule = DenseSchedule(setup, windows, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
+def test_the_dense_learning_rate_rises_and_falls_to_zero(one):
+    schedule = DenseSchedule(*one, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
     rates = np.array([schedule.learning_rate(step) for step in range(1000)])
     assert rates.max() == pytest.approx(0.01, rel=0.03) and 40 <= rates.argmax() <= 60
     assert (rates > 0).all() and rates[-1] < 1e-6
     assert (np.diff(rates[:50]) > 0).all() and (np.diff(rates[51:]) < 0).all()
 
 
-def test_dense_training_prefers_settled_weights_unless_earlier_ones_are_clearly_better():
-    setup, _, windows = prepared([recording(1)])
-    schedule = DenseSchedule(setup, windows, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
+def test_dense_training_prefers_settled_weights_and_stops_early_only_when_it_gets_no_better(one):
+    schedule = DenseSchedule(*one, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
     assert schedule.score(900, 1.0) < schedule.score(700, 0.8)  # a lucky draw at a high rate
     assert schedule.score(900, 1.0) > schedule.score(300, 0.5)  # the network overfitted since
-
-
-def test_dense_training_stops_early_only_when_it_has_settled_and_gets_no_better():
-    setup, _, windows = prepared([recording(1)])
-    schedule = DenseSchedule(setup, windows, TrainConfig(recipe="dense", targets=20, max_steps=1000).resolved())
 
     def history(best_at: int, until: int):
         return [(step, 1.0, 0.5 if step == best_at else 1.0) for step in range(50, until + 1, 50)]
 
-    assert schedule.gives_up(history(best_at=800, until=900))
-    assert schedule.gives_up(history(best_at=300, until=900))
-    assert not schedule.gives_up(history(best_at=850, until=900))
-    assert not schedule.gives_up(history(best_at=300, until=850))
+    gives_up = {
+        (best_at, until): schedule.gives_up(history(best_at, until))
+        for best_at in (300, 800, 850)
+        for until in (850, 900)
+    }
+    assert [at for at, given_up in gives_up.items() if given_up] == [(300, 900), (800, 900)]
     assert not schedule.gives_up([])
 
 

@@ -15,7 +15,7 @@ from tauext.fit.regression import NormalEquations, Regression
 from tauext.fit.ridge import Regressors, gather, solved
 from tauext.fit.stable_choice import simplest
 from tauext.fit.training_set import Setup, remainder, with_presliding
-from tauext.train.error_scale import ErrorRows, Judged, collect_rows, scale_of
+from tauext.train.error_scale import ErrorRows, HeldOut, collect_rows, scale_of
 from tauext.train.fitting import fit_prior, observe, put_prior, with_fit
 from tauext.train.held_peaks import Peaks, collect_peaks
 from tauext.train.limits import unseen_motion
@@ -310,7 +310,7 @@ def new_arm(own: OwnTerms, config: TrainConfig, like: Like) -> NewArm:
     return NewArm(own, bundle, minute, rest)
 
 
-def judged_rest(own: OwnTerms, config: TrainConfig, bundle: _core.Bundle, gain_per_s: float) -> Iterator[Judged]:
+def judged_rest(own: OwnTerms, config: TrainConfig, bundle: _core.Bundle, gain_per_s: float) -> Iterator[HeldOut]:
     """The arm's motion behind its first minute, judged by this bundle."""
     run = run_of(own.arm, settings_of(own, config, gain_per_s))
     before_s = 0.0
@@ -320,7 +320,7 @@ def judged_rest(own: OwnTerms, config: TrainConfig, bundle: _core.Bundle, gain_p
         before_s += recording.duration_s
         span = span_of(recording, first_s, last_s)
         if span.start < span.stop:
-            yield Judged(recording, span, bundle)
+            yield HeldOut(recording, span, bundle)
 
 
 def span_of(recording: Recording, from_s: float, to_s: float) -> slice:
@@ -357,7 +357,7 @@ def errors_of(arms: Sequence[NewArm], config: TrainConfig, threads: int) -> Flee
     for one, own_size in zip(arms, size, strict=True):
         one.bundle.error_scale = scale_settings(errors, own_size)
 
-    def rest(some: Sequence[NewArm]) -> Iterator[Judged]:
+    def rest(some: Sequence[NewArm]) -> Iterator[HeldOut]:
         for one in some:
             yield from judged_rest(one.own, config, one.bundle, one.bundle.observer.gain_per_s)
 

@@ -146,7 +146,7 @@ COUNTED = {
     ),
 }
 """Folders and files whose code decides a task's output, by package. Root modules of tauext count, too."""
-ROOTS = tuple(Path(package.__file__).parent for package in (tauext, tauext_lab, tauext_fleet))
+ROOTS = tuple(Path(str(package.__file__)).parent for package in (tauext, tauext_lab, tauext_fleet))
 
 
 def is_counted(package: str, name: Path) -> bool:

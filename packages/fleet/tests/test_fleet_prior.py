@@ -71,7 +71,7 @@ def test_links_can_be_whichever_ridge_rounding_chooses(made, tmp_path, monkeypat
 def rms(bundle: _core.Bundle) -> np.ndarray:
     """Of tau_ext on other motion of the new arm, whose friction is known."""
     other = moving(71, 60.0, (0.75, 1.15))
-    said = _core.estimate(bundle, other.t_ns, other.q, other.dq, other.tau, 1, None)
+    said = _core.estimate(bundle, *other.signals, 1, None)
     return np.sqrt(np.mean(said["tau_ext"][200:] ** 2, axis=0))
 
 
@@ -120,7 +120,7 @@ def test_limits_of_a_new_arm_are_the_fleets_and_say_so(made, new):
 
 def test_no_motion_of_the_new_arm_is_over_its_limits(new):
     other = moving(72, 120.0, (0.75, 1.15))
-    said = _core.estimate(new["like"], other.t_ns, other.q, other.dq, other.tau, 1, None)
+    said = _core.estimate(new["like"], *other.signals, 1, None)
     level = np.where(said["near_stiction"], new["like"].near_stiction_limit_nm, new["like"].sliding_limit_nm)
     over = np.abs(said["tau_ext"]) > level * said["limit_scale"] + said["doubt"]
     assert over[200:].mean() < 1e-3

@@ -6,7 +6,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol, TypeVar
 from zipfile import BadZipFile
@@ -29,41 +29,45 @@ from tauext.recipes import Drawing
 Number = TypeVar("Number", int, float)
 
 
-class Schedule(Protocol):
-    """Sequences of `length` network steps from zero state; the last `targets` have a loss."""
-
-    steps: int
-    length: int
-    targets: int
-    largest_gradient: float  # a gradient of a larger norm is shortened to it
-    square_decay: float  # decay rate of Adam's mean of the squared gradient
-    report_every: int  # steps
-    validation_windows: int  # largest number of validation windows in each report, evenly spread
-
-    def ends(self, step: int) -> np.ndarray:
-        """Rows that end the sequences of this step; they depend on the seed and the step alone."""
-
-    def learning_rate(self, step: int) -> float: ...
-
-    def score(self, step: int, validation_loss: float) -> float:
-        """Score of the weights after this number of steps; those with the lowest score are kept."""
-
-    def gives_up(self, history: list[tuple[int, float, float]]) -> bool:
-        """Whether to stop early, after these (step, training loss, validation loss)."""
-
-
 @dataclass
-class PaperSchedule:
-    """One target a window, all windows in a new random order each epoch, constant learning rate [Lim2021]."""
+class Schedule:
+    """Sequences of `length` network steps from zero state; the last `targets` have a loss."""
 
     setup: Setup
     training: WindowSet
     config: TrainConfig
-    targets = 1
-    largest_gradient = math.inf
-    square_decay = 0.999
-    report_every = 200
-    validation_windows = 20_000
+    steps: int = field(init=False)
+    length: int = field(init=False)
+    targets: int = field(init=False, default=1)
+    largest_gradient: float = field(init=False, default=math.inf)
+    """A gradient of a larger norm is shortened to it."""
+    square_decay: float = field(init=False, default=0.999)
+    """Decay rate of Adam's mean of the squared gradient."""
+    report_every: int = field(init=False, default=200)
+    """Steps between two reports."""
+    validation_windows: int = field(init=False, default=20_000)
+    """Largest number of validation windows in each report, evenly spread."""
+
+    def ends(self, step: int) -> np.ndarray:
+        """Rows that end the sequences of this step; they depend on the seed and the step alone."""
+        raise NotImplementedError
+
+    def learning_rate(self, step: int) -> float:
+        """Step size of Adam."""
+        return resolved(self.config.learning_rate)
+
+    def score(self, step: int, validation_loss: float) -> float:
+        """Score of the weights after this number of steps; those with the lowest score are kept."""
+        return validation_loss
+
+    def gives_up(self, history: list[tuple[int, float, float]]) -> bool:
+        """Whether to stop early, after these (step, training loss, validation loss)."""
+        return False
+
+
+@dataclass
+class PaperSchedule(Schedule):
+    """One target a window, all windows in a new random order each epoch, constant learning rate [Lim2021]."""
 
     def __post_init__(self) -> None:
         batch = resolved(self.config.batch)
@@ -84,18 +88,9 @@ class PaperSchedule:
         batch = resolved(self.config.batch)
         return self.training.ends[self._order[index * batch : (index + 1) * batch]]
 
-    def learning_rate(self, step: int) -> float:
-        return resolved(self.config.learning_rate)
-
-    def score(self, step: int, validation_loss: float) -> float:
-        return validation_loss
-
-    def gives_up(self, history: list[tuple[int, float, float]]) -> bool:
-        return False
-
 
 @dataclass
-class DenseSchedule:
+class DenseSchedule(Schedule):
     """Sequences drawn at random; after a burn-in of a window or a part of it (Drawing.early_targets) every step has a
     target.
 
@@ -106,14 +101,15 @@ class DenseSchedule:
     twentieth of the training and falls to zero along a cosine.
     """
 
-    setup: Setup
-    training: WindowSet
-    config: TrainConfig
-    validation_windows = 10_000
-    warm_up = 0.05
-    settled = 0.8  # the share of the steps after which the learning rate is low
-    unsettled_handicap = 1.5
-    patience = 0.1  # the share of the steps without a better score after which a settled training stops
+    validation_windows: int = field(init=False, default=10_000)
+    warm_up: float = 0.05
+    """Share of the steps in which the learning rate rises."""
+    settled: float = 0.8
+    """Share of the steps after which the learning rate is low."""
+    unsettled_handicap: float = 1.5
+    """Factor on validation losses before that."""
+    patience: float = 0.1
+    """Share of the steps without a better score after which a settled training stops."""
 
     def __post_init__(self) -> None:
         drawing = self.config.row.drawing

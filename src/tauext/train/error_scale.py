@@ -36,7 +36,7 @@ FOR_ERRORS = ("tau_ext", "doubt", "limit_scale")
 
 
 @dataclass(frozen=True)
-class Judged:
+class HeldOut:
     """A recording, the span that counts, and the bundle evaluated on it."""
 
     recording: Recording
@@ -53,20 +53,20 @@ class Judged:
         return recording if end is None or end >= recording.samples else cut(recording, slice(0, end))
 
 
-def with_outputs(bundle: _core.Bundle, recording: Recording, threads: int) -> Judged:
+def with_outputs(bundle: _core.Bundle, recording: Recording, threads: int) -> HeldOut:
     """The recording with its network outputs, for several evaluations while limits and error scale are set."""
     outputs = _core.network_outputs(bundle, *recording.signals, threads, recording.temperature)
-    return Judged(recording, outputs=outputs)
+    return HeldOut(recording, outputs=outputs)
 
 
-def whole_recordings(judged: Sequence[Recording | Judged]) -> list[Recording]:
+def whole_recordings(held_out: Sequence[Recording | HeldOut]) -> list[Recording]:
     """Each recording once, for any number of spans."""
-    return list({id(r): r for r in (one.recording if isinstance(one, Judged) else one for one in judged)}.values())
+    return list({id(r): r for r in (one.recording if isinstance(one, HeldOut) else one for one in held_out)}.values())
 
 
 def judge(
     bundle: _core.Bundle,
-    judged: Recording | Judged,
+    held_out: Recording | HeldOut,
     threads: int,
     margins: FreeMotionConfig,
     torques: Sequence[str] = FOR_ERRORS,
@@ -80,17 +80,17 @@ def judge(
     Args:
         torques: torque columns of the estimates, FOR_ERRORS at least.
     """
-    judged = judged if isinstance(judged, Judged) else Judged(judged)
-    motion = judged.motion
+    held_out = held_out if isinstance(held_out, HeldOut) else HeldOut(held_out)
+    motion = held_out.motion
     estimates = _core.estimate(
-        judged.bundle or bundle, *motion.signals, threads, motion.temperature, judged.outputs, list(torques)
+        held_out.bundle or bundle, *motion.signals, threads, motion.temperature, held_out.outputs, list(torques)
     )
     counted = np.zeros(motion.samples, dtype=bool)
-    counted[judged.span] = True
+    counted[held_out.span] = True
     counted &= (
         (estimates["health"] != STALE)
         & np.isfinite(estimates["tau_ext"]).all(axis=1)
-        & free_samples(judged.recording, margins)[: motion.samples]
+        & free_samples(held_out.recording, margins)[: motion.samples]
     )
     # Limits are raised by the prior's doubt, so it is not part of the error.
     error = np.maximum(np.abs(estimates["tau_ext"]) - estimates["doubt"], 0) / estimates["limit_scale"]
@@ -99,7 +99,7 @@ def judge(
 
 def judge_all(
     bundle: _core.Bundle,
-    judged: Iterable[Recording | Judged],
+    held_out: Iterable[Recording | HeldOut],
     threads: int,
     margins: FreeMotionConfig,
     torques: Sequence[str] = FOR_ERRORS,
@@ -114,7 +114,7 @@ def judge_all(
     workers = min(threads, 4)
     with ThreadPoolExecutor(workers) as pool:
         coming: deque[Future] = deque()
-        for one in judged:
+        for one in held_out:
             coming.append(pool.submit(judge, bundle, one, threads // workers, margins, torques))
             if len(coming) > workers:
                 yield coming.popleft().result()
@@ -317,7 +317,7 @@ def freeze_floor_nm(error_nm: np.ndarray, config: DriftConfig, period_s: float) 
 
 def collect_rows(
     bundle: _core.Bundle,
-    judged: Iterable[Recording | Judged],
+    held_out: Iterable[Recording | HeldOut],
     threads: int,
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
     config: ErrorScaleConfig = ErrorScaleConfig(),
@@ -332,7 +332,7 @@ def collect_rows(
     found: list[tuple[np.ndarray, ...]] = []
     stride, count = bundle.observer.network_stride, 0
     numbers: dict[str, int] = {}
-    for r, estimates, error, counted in judge_all(bundle, judged, threads, margins):
+    for r, estimates, error, counted in judge_all(bundle, held_out, threads, margins):
         at = np.flatnonzero(counted)[::stride].astype(np.int64)
         if len(at) == 0:
             continue

@@ -13,7 +13,7 @@ from tauext import _core
 from tauext.config import FreeMotionConfig
 from tauext.data.recording import Recording
 from tauext.files.checkpoint import Checkpoint
-from tauext.train.error_scale import Judged, judge_all, no_free_motion
+from tauext.train.error_scale import HeldOut, judge_all, no_free_motion
 
 # --- Held minimum: the error that remains behind a hold time.
 #
@@ -203,7 +203,7 @@ class Peaks:
 
 def collect_peaks(
     bundle: _core.Bundle,
-    recordings: Iterable[Recording | Judged],
+    recordings: Iterable[Recording | HeldOut],
     holds_s: Sequence[float],
     threads: int,
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008

@@ -21,7 +21,7 @@ from tauext.fit.prior_terms import PriorFit
 from tauext.fit.tail import duration, promised_per_hour
 from tauext.fit.training_set import Setup
 from tauext.train.error_scale import (
-    Judged,
+    HeldOut,
     collect_rows,
     fit_error_scale,
     put_constant_error,
@@ -95,8 +95,8 @@ def put_error_scale(run: TrainingRun, bundle: Bundle, motion: LimitMotion, follo
     Args:
         follows: whether limits follow the error that the motion announces; else the scale is constant.
     """
-    judged = motion.judged if follows else motion.unseen or motion.judged
-    rows = collect_rows(bundle, judged, run.threads, run.config.margins)
+    held_out = motion.held_out if follows else motion.unseen or motion.held_out
+    rows = collect_rows(bundle, held_out, run.threads, run.config.margins)
     if not follows:
         put_constant_error(bundle, rows)
     else:
@@ -105,7 +105,7 @@ def put_error_scale(run: TrainingRun, bundle: Bundle, motion: LimitMotion, follo
         for one in motion.left_out:
             assert one.bundle is not None
             one.bundle.error_scale = bundle.error_scale
-    run.facts["wrench"] = run.facts.get("wrench", {}) | fit_wrench(bundle, judged, run.threads, run.config.margins)
+    run.facts["wrench"] = run.facts.get("wrench", {}) | fit_wrench(bundle, held_out, run.threads, run.config.margins)
     return replace(motion, rows=rows, poses=run.facts["wrench"].get("poses", []))
 
 
@@ -144,7 +144,7 @@ def no_calibration(folder: Path | None) -> str:
 
 def unseen_motion(
     run: TrainingRun, bundle: Bundle, setup: Setup, fit: PriorFit | None
-) -> tuple[list[Judged], list[Judged]]:
+) -> tuple[list[HeldOut], list[HeldOut]]:
     """Free motion not used in training the bundle or its cross-validation priors."""
     by_fit = fit is not None and not bundle.has_network
     # Without a network, the prior was finally fitted to the validation motion too.
@@ -154,13 +154,13 @@ def unseen_motion(
     return unseen, left_out
 
 
-def left_out_of_fit(bundle: Bundle, fit: PriorFit, setup: Setup, reference: Recording) -> list[Judged]:
+def left_out_of_fit(bundle: Bundle, fit: PriorFit, setup: Setup, reference: Recording) -> list[HeldOut]:
     """Each fifth of the training motion, evaluated with a prior fitted to the other four.
 
     All motion then has errors of an independent fit; a tenth set apart would have few. These priors use less data than
     the bundle, so on average their errors are larger.
     """
-    judged = []
+    held_out = []
     for fold in fit.left_out:
         other = make_bundle(bundle.name, replace(setup, prior=fold.settings), bundle.near_stiction_rad_s, reference)
         other.region_width, other.drift = bundle.region_width, bundle.drift
@@ -168,8 +168,8 @@ def left_out_of_fit(bundle: Bundle, fit: PriorFit, setup: Setup, reference: Reco
         other.largest_torque_nm, other.torque_limit_nm = bundle.largest_torque_nm, bundle.torque_limit_nm
         other.possible_torque_nm, other.possible_speed_rad_s = bundle.possible_torque_nm, bundle.possible_speed_rad_s
         other.rate_tolerance = bundle.rate_tolerance
-        judged += [Judged(recording, span, other) for recording, span in fold.spans]
-    return judged
+        held_out += [HeldOut(recording, span, other) for recording, span in fold.spans]
+    return held_out
 
 
 # --- Limits that are of little use.

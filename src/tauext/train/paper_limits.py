@@ -15,7 +15,7 @@ from tauext.data.recording import Recording
 from tauext.errors import TrainingError
 from tauext.fit.prior_terms import PriorFit
 from tauext.progress import SILENT, Reporter
-from tauext.train.error_scale import ErrorRows, Judged, whole_recordings
+from tauext.train.error_scale import ErrorRows, HeldOut, whole_recordings
 from tauext.train.held_peaks import REGIONS, Peaks, collect_peaks
 
 
@@ -88,30 +88,30 @@ class LimitMotion:
     """Number of suspected touches that were left out of the motion."""
     poses: Sequence[Sequence[float]] | None = None
     """Poses of the arm's motion, in which links are hit; None: those that the bundle keeps."""
-    unseen: Sequence[Judged] = ()
+    unseen: Sequence[HeldOut] = ()
     """Motion that was not used for training."""
-    left_out: Sequence[Judged] = ()
+    left_out: Sequence[HeldOut] = ()
     """Training motion, each part with a bundle that was fitted to the others."""
     rows: ErrorRows | None = None
     """Errors from which the bundle's error scale follows."""
     fit: PriorFit | None = None
 
     @property
-    def judged(self) -> list[Judged]:
+    def held_out(self) -> list[HeldOut]:
         """All motion from which no bundle here has learned."""
         return [*self.unseen, *self.left_out]
 
 
 def put_paper(bundle: _core.Bundle, motion: LimitMotion) -> dict:
     """The paper's limits on validation motion; without any, on the training motion."""
-    judged = motion.unseen or motion.judged
-    set_limits(bundle, paper_limits(bundle, judged, motion.threads, motion.margins), motion.alarm)
+    held_out = motion.unseen or motion.held_out
+    set_limits(bundle, paper_limits(bundle, held_out, motion.threads, motion.margins), motion.alarm)
     return {}
 
 
 def paper_limits(
     bundle: _core.Bundle,
-    recordings: Sequence[Recording | Judged],
+    recordings: Sequence[Recording | HeldOut],
     threads: int,
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
 ) -> np.ndarray:

@@ -214,8 +214,8 @@ def as_they_are(training: Sequence[Recording], validation: Sequence[Recording], 
     """Recordings of a training that learns nothing from them, used for limits only."""
     if not validation:
         notes.append("the dataset has no validation recordings: limits are found on the training recordings")
-    judged = list(validation or training)
-    return TrainingMotion(list(training), judged, judged, list(training), notes)
+    for_limits = list(validation or training)
+    return TrainingMotion(list(training), for_limits, for_limits, list(training), notes)
 
 
 def left_out_sentences(recordings: Sequence[Recording], config: TrainConfig) -> list[str]:

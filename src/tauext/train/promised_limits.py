@@ -171,7 +171,8 @@ def promised_limits(
     moments = decisive_moments(peaks[best], rates, confidence, config)
     of_arm = np.full((2, len(REGIONS), bundle.joints), np.inf)
     of_arm[:, :, watched] = collision, contact
-    return PromisedLimits(*of_arm, alarm.holds_s[best], alarm.holds_s[held], promise, budget, tails, rates, moments)
+    holds_s = alarm.holds_s[best], alarm.holds_s[held]
+    return PromisedLimits(of_arm[0], of_arm[1], *holds_s, promise, budget, tails, rates, moments)
 
 
 def soonest(sliding_nm: Sequence[np.ndarray], holds_s: Sequence[float], gain_per_s: float, config: LimitsConfig) -> int:

@@ -15,7 +15,7 @@ from tauext.errors import TrainingError
 from tauext.fit.prior_facts import friction_nm
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.tail import TooFewPeaks, duration
-from tauext.train.error_scale import FEATURES, ErrorRows, Judged, add_friction, limit_weights, whole_recordings
+from tauext.train.error_scale import FEATURES, ErrorRows, HeldOut, add_friction, limit_weights, whole_recordings
 from tauext.train.held_peaks import (
     Peaks,
     collect_peaks,
@@ -63,13 +63,13 @@ def put_supported(bundle: Bundle, motion: LimitMotion, config: SupportedConfig =
     alarm, follows, promised = motion.alarm, bundle.error_scale.follows, None
     limits = LimitsConfig(confidence=config.confidence, at_most_seen=follows)
     try:
-        peaks = collect_peaks(bundle, motion.judged, alarm.holds_s, motion.threads, motion.margins)
+        peaks = collect_peaks(bundle, motion.held_out, alarm.holds_s, motion.threads, motion.margins)
         promised = promised_limits(bundle, peaks, alarm, limits, motion.poses)
         promised = replace(promised, suspects=motion.suspects)
         promised.put(bundle, alarm)
         words, facts = f"no calibration recordings. {promised.sentence()}", promised.facts()
     except TrainingError as error:
-        set_limits(bundle, paper_limits(bundle, motion.judged, motion.threads, motion.margins), alarm)
+        set_limits(bundle, paper_limits(bundle, motion.held_out, motion.threads, motion.margins), alarm)
         words = f"limits are the largest errors seen, and promise nothing ({error})"
         facts = {"sentence": words}
     if follows:
@@ -114,7 +114,7 @@ def raise_following(
         promised: None: the limits are the largest errors.
         facts: receives factor, reserve and test.
     """
-    seen_s = total_s(whole_recordings(motion.judged))
+    seen_s = total_s(whole_recordings(motion.held_out))
     factor = round(factor_after(seen_s, motion.alarm.minutes_factor, config.decay_s), 3)
     if promised is None:
         factor = max(factor, config.unpromised_factor)
@@ -123,7 +123,7 @@ def raise_following(
     watched, added = np.flatnonzero(bundle.monitored), None
     share = motion.alarm.friction_reserve * math.exp(-seen_s / config.decay_s)
     if motion.fit is not None and share > config.least_reserve:
-        at_rest, per_speed = friction_line(motion.fit, usual_speed_rad_s(motion.judged))
+        at_rest, per_speed = friction_line(motion.fit, usual_speed_rad_s(motion.held_out))
         add_friction(bundle, share, at_rest, per_speed)
         added = share * at_rest[watched], share * per_speed[watched]
         facts["friction_reserve"] = share
@@ -141,7 +141,7 @@ def constant_reserve_nm(bundle: Bundle, motion: LimitMotion) -> np.ndarray:
     share = motion.alarm.friction_reserve
     if motion.fit is None or not share:
         return np.zeros(bundle.joints)
-    return share * friction_nm(motion.fit, usual_speed_rad_s(motion.judged))
+    return share * friction_nm(motion.fit, usual_speed_rad_s(motion.held_out))
 
 
 def factor_after(seen_s: float, most: float, decay_s: float = SupportedConfig.decay_s) -> float:
@@ -152,7 +152,7 @@ def factor_after(seen_s: float, most: float, decay_s: float = SupportedConfig.de
     return 1 - (most - 1) * math.expm1(-seen_s / decay_s)
 
 
-def usual_speed_rad_s(recordings: Sequence[Recording | Judged]) -> np.ndarray:
+def usual_speed_rad_s(recordings: Sequence[Recording | HeldOut]) -> np.ndarray:
     """Largest 95 % quantile of each joint's speed over the recordings, (n,), [rad/s]."""
     speeds = [np.quantile(np.abs(recording.dq), 0.95, axis=0) for recording in whole_recordings(recordings)]
     return np.max(speeds, axis=0)

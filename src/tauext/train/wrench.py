@@ -20,7 +20,7 @@ from scipy.special import gammaincinv
 from tauext import _core
 from tauext.config import FreeMotionConfig
 from tauext.data.recording import Recording
-from tauext.train.error_scale import FOR_ERRORS, Judged, judge_all
+from tauext.train.error_scale import FOR_ERRORS, HeldOut, judge_all
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class ForceErrors:
 
 def fit_wrench(
     bundle: _core.Bundle,
-    judged: Iterable[Recording | Judged],
+    held_out: Iterable[Recording | HeldOut],
     threads: int,
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
 ) -> dict:
@@ -58,7 +58,7 @@ def fit_wrench(
     """
     if refused := _core.WrenchModel(bundle).refused:
         return {"refused": refused}
-    q, tau_ext, sigma = free_rows(bundle, judged, threads, margins)
+    q, tau_ext, sigma = free_rows(bundle, held_out, threads, margins)
     if len(q) < ForceErrors.least_rows:
         return {"rows": len(q), "poses": poses(q)}
     settings = bundle.wrench_settings
@@ -156,12 +156,12 @@ def factor(squared: np.ndarray, freedom: int) -> float:
 
 
 def free_rows(
-    bundle: _core.Bundle, judged: Iterable[Recording | Judged], threads: int, margins: FreeMotionConfig
+    bundle: _core.Bundle, held_out: Iterable[Recording | HeldOut], threads: int, margins: FreeMotionConfig
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return q, tau_ext and sigma of free motion, 3 x (rows, joints)."""
     stride = max(1, round(ForceErrors.row_s / (1e-9 * bundle.observer.sample_period_ns)))
     found = []
-    for motion, estimates, _, counted in judge_all(bundle, judged, threads, margins, (*FOR_ERRORS, "sigma_nm")):
+    for motion, estimates, _, counted in judge_all(bundle, held_out, threads, margins, (*FOR_ERRORS, "sigma_nm")):
         counted &= np.isfinite(estimates["sigma_nm"]).all(axis=1) & (estimates["sigma_nm"] > 0).all(axis=1)
         at = np.flatnonzero(counted)[::stride]
         found.append((motion.q[at], estimates["tau_ext"][at], estimates["sigma_nm"][at]))

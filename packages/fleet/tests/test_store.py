@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -193,6 +194,23 @@ def test_what_cannot_be_uploaded_is_not_there(s3, tmp_path, size, fault):
     s3.fault = failing(fault, "PUT", times=1)
     stored.upload(tmp_path / "file")
     assert len(s3.objects["new/file"].content) == size
+
+
+def test_a_killed_sender_leaves_nothing_under_the_name(s3, tmp_path):
+    code = (
+        "import os, sys; from pathlib import Path; from tauext_fleet.store import Stored; "
+        "Path(sys.argv[1]).write_bytes(os.urandom(40_000_000)); "
+        "Stored.of_url('s3://arms/killed.bin').upload(Path(sys.argv[1]))"
+    )
+    s3.fault = lambda request: "stall" if request.method == "PUT" else None
+    process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "large")])
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline and not any(request.method == "PUT" for request in list(s3.requests)):
+        time.sleep(0.01)
+    process.kill()
+    process.wait()
+    s3.fault = lambda request: None
+    assert not located("s3://arms/killed.bin").exists()
 
 
 def test_limits_of_waiting_are_numbers(monkeypatch):

@@ -8,7 +8,9 @@ import struct
 import subprocess
 import sys
 import time
+from contextlib import closing
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -58,40 +60,72 @@ WAIT_S = 20.0
 XL330, XL430, XM430 = 1200, 1060, 1020
 
 
-class Rig:
-    """Three servos of a kind, whose positions are the number of the reading."""
+class Servos(MadeServoBus):
+    """Servos of a kind at rest."""
 
-    def __init__(self, kind: str):
-        protocol, series, power_on = KINDS[kind]
-        self.kind, self.bus = kind, MadeServoBus(protocol(), [1, 2, 3])
-        for id_ in (1, 2, 3):
-            power_on(self.bus, id_)
-        self.bus.moves = self._move
-        joints = (ServoJoint(NAMES[k], k + 1, 0.0) for k in range(3))
-        self.source = patient(ServoSource(series, self.bus.port, bus_file(*joints)))
+    def __init__(self, kind: str, servos: int = 2):
+        protocol, self.series, power_on = KINDS[kind]
+        super().__init__(protocol(), list(range(1, servos + 1)))
+        self.kind = kind
+        for id_ in self.registers:
+            power_on(self, id_)
 
-    def _move(self, reading: int) -> None:
-        for id_ in (1, 2, 3):
-            self.put(id_, "position", reading % 2000)
+    def set(self, id_: int, what: str, value: int) -> None:
+        self.put(id_, *PLACES[self.kind][what], value)
 
-    def put(self, id_: int, what: str, value: int) -> None:
-        self.bus.put(id_, *PLACES[self.kind][what], value)
+    def opened(self, *joints: ServoJoint, **settings) -> ServoSource:
+        joints = joints or tuple(ServoJoint(NAMES[id_ - 1], id_) for id_ in self.registers)
+        source = patient(ServoSource(self.series, self.port, bus_file(*joints)))
+        source.open(servo_settings(len(joints), **settings))
+        return source
 
-    def open(self, **settings) -> None:
-        self.source.open(servo_settings(3, **settings))
+    def sample(self, *joints: ServoJoint, **settings):
+        """The first sample of a source."""
+        return first_sample(self.opened(*joints, **settings))
 
 
 @pytest.fixture(params=list(KINDS))
 def rig(request):
-    made = Rig(request.param)
-    yield made
-    made.source.close()
-    made.bus.close()
+    """Three servos of a kind, whose positions are the number of the reading, and their source."""
+    with Servos(request.param, 3) as bus:
+        bus.moves = lambda reading: [bus.set(id_, "position", reading % 2000) for id_ in (1, 2, 3)]
+        source = patient(ServoSource(bus.series, bus.port, bus_file(*(ServoJoint(NAMES[k], k + 1) for k in range(3)))))
+        opens = lambda **settings: source.open(servo_settings(3, **settings))  # noqa: E731
+        with closing(source):
+            yield SimpleNamespace(kind=bus.kind, bus=bus, source=source, open=opens)
 
 
-def spoil(rig: Rig, readings: set[int], id_: int, how) -> None:
+@pytest.fixture(params=list(KINDS))
+def two(request):
+    """Two servos of a series."""
+    with Servos(request.param) as bus:
+        yield bus
+
+
+@pytest.fixture
+def feetech():
+    with Servos("feetech") as bus:
+        yield bus
+
+
+@pytest.fixture
+def dynamixel():
+    with Servos("dynamixel") as bus:
+        yield bus
+
+
+def spoil(rig, readings: set[int], id_: int, how) -> None:
     """Answers of a servo to these readings."""
     rig.bus.sent = lambda one, packet: how(packet) if one == id_ and rig.bus.readings - 1 in readings else packet
+
+
+def first_notes(source) -> tuple[list[str], float]:
+    """The first notes of a source, and until when to wait for more."""
+    told, until = [], time.monotonic() + WAIT_S
+    while not told and time.monotonic() < until:
+        source.next_sample(0.05)
+        told = source.notes()
+    return told, until
 
 
 @pytest.mark.parametrize(
@@ -164,10 +198,7 @@ def test_a_servo_that_drops_out_is_named_and_waited_for(rig):
     taken(rig.source, 2)
     before = rig.source.counts.received
     rig.bus.sent = lambda one, packet: b"" if one == 2 else packet
-    told, until = [], time.monotonic() + 20
-    while not told and time.monotonic() < until:
-        rig.source.next_sample(0.05)
-        told = rig.source.notes()
+    told, until = first_notes(rig.source)
     assert told[0] == "servo 2 (lift) does not answer: no sample until it does"
     assert rig.source.counts.refused >= REPORTED_AFTER and not rig.source.ended
     patient(rig.source)
@@ -182,10 +213,7 @@ def test_a_port_that_goes_is_reported_and_waited_for(rig, monkeypatch):
     rig.open()
     taken(rig.source, 2)
     rig.bus.close()
-    told, until = [], time.monotonic() + 20
-    while not told and time.monotonic() < until:
-        rig.source.next_sample(0.05)
-        told = rig.source.notes()
+    told, until = first_notes(rig.source)
     assert told[0].startswith(f"{rig.source.name} is disconnected: the port is lost: ") and told[0].endswith(
         "; reconnecting"
     )
@@ -295,47 +323,6 @@ def test_a_loop_makes_torque_of_what_servos_report_and_a_reaction_makes_them_hol
 # Bytes and registers, by the manuals of the makers.
 
 
-@pytest.fixture(params=list(KINDS))
-def two(request):
-    """Two servos of a series at rest."""
-    with Two(request.param) as bus:
-        yield bus
-
-
-@pytest.fixture
-def feetech():
-    with Two("feetech") as bus:
-        yield bus
-
-
-@pytest.fixture
-def dynamixel():
-    with Two("dynamixel") as bus:
-        yield bus
-
-
-class Two(MadeServoBus):
-    def __init__(self, kind: str, servos: int = 2):
-        protocol, self.series, power_on = KINDS[kind]
-        super().__init__(protocol(), list(range(1, servos + 1)))
-        self.kind = kind
-        for id_ in self.registers:
-            power_on(self, id_)
-
-    def set(self, id_: int, what: str, value: int) -> None:
-        self.put(id_, *PLACES[self.kind][what], value)
-
-    def opened(self, *joints: ServoJoint, **settings) -> ServoSource:
-        joints = joints or tuple(ServoJoint(NAMES[id_ - 1], id_) for id_ in self.registers)
-        source = patient(ServoSource(self.series, self.port, bus_file(*joints)))
-        source.open(servo_settings(len(joints), **settings))
-        return source
-
-    def sample(self, *joints: ServoJoint, **settings):
-        """The first sample of a source."""
-        return first_sample(self.opened(*joints, **settings))
-
-
 def checked(asked: str) -> bytes:
     """A request of protocol 2.0 with its CRC."""
     packet = bytes.fromhex(asked)
@@ -348,11 +335,8 @@ def test_the_mocked_bus_has_the_check_of_the_manual():
 
 
 def test_a_reading_is_one_sync_read_and_writes_nothing(two):
-    source = two.opened()
-    try:
+    with closing(two.opened()) as source:
         taken(source, 3)
-    finally:
-        source.close()
     # Header, to all, length, sync read, first register, how many, ids, check: by the manuals, written out by hand.
     identity, state = {
         "feetech": (bytes.fromhex("ff ff fe 06 82 03 1f 01 02 54"), bytes.fromhex("ff ff fe 06 82 28 1f 01 02 2f")),
@@ -458,11 +442,8 @@ def test_turns_are_counted_in_32_bits_and_directions_turn_phase_currents_too(dyn
 
 def test_an_angle_goes_on_where_the_counts_wrap(two):
     two.moves = lambda reading: two.set(1, "position", (4090 + 2 * reading) % 4096)
-    source = two.opened(ServoJoint("pan", 1, 4000.0), ServoJoint("lift", 2))
-    try:
+    with closing(two.opened(ServoJoint("pan", 1, 4000.0), ServoJoint("lift", 2))) as source:
         q = np.array([one.q[0] for one in taken(source, 12)])
-    finally:
-        source.close()
     np.testing.assert_allclose(np.diff(q), 2 * RAD, atol=1e-12)
     assert q[0] > 0
 
@@ -482,13 +463,10 @@ def test_a_feetech_without_torque_has_no_goal(feetech):
 def test_stop_writes_the_present_position_as_goal_to_servos_whose_torque_is_on(two):
     two.set(1, "position", 0x8123 if two.kind == "feetech" else -77)
     two.set(2, "torque", 0)
-    source = two.opened()
-    try:
+    with closing(two.opened()) as source:
         taken(source, 2)
         assert two.writes == []
         source.stop()
-    finally:
-        source.close()
     # Header, to all, length, sync write, register, how many bytes, id 1 and its position, check.
     address, goal, sent = {
         "feetech": (42, b"\x23\x81", bytes.fromhex("ff ff fe 07 83 2a 02 01 23 81 a6")),
@@ -525,8 +503,7 @@ def test_a_servo_that_does_not_take_its_goal_is_named(two):
 
 def test_what_a_servo_complains_of_is_reported_once(two):
     error, text = (36, "overheated, overload") if two.kind == "feetech" else (0x80, "a hardware alert; its register 70")
-    source = two.opened()
-    try:
+    with closing(two.opened()) as source:
         taken(source, 2)
         two.errors[2] = error
         taken(source, 10)
@@ -535,20 +512,15 @@ def test_what_a_servo_complains_of_is_reported_once(two):
         two.errors[2] = 0
         taken(source, 10)
         assert source.notes() == ["servo 2 (lift) reports no error"]
-    finally:
-        source.close()
 
 
 @pytest.mark.slow
 def test_six_servos_are_read_six_thousand_times_and_each_time_whole():
     """A minute at 100 Hz. How late they are depends on the machine: benchmarks/servo_buses.py."""
-    with Two("feetech", 6) as bus:
+    with Servos("feetech", 6) as bus:
         bus.moves = lambda reading: [bus.set(id_, "position", (reading + 100 * id_) % 4096) for id_ in bus.registers]
-        source = bus.opened(period_ns=10_000_000)
-        try:
+        with closing(bus.opened(period_ns=10_000_000)) as source:
             q = np.array([one.q for one in taken(source, 6000, 300.0)])
-        finally:
-            source.close()
         assert source.counts.refused == source.counts.overrun == 0 and source.notes() == []
     steps = np.diff(q, axis=0) / RAD
     assert np.isin(np.rint(steps), (1, -4095)).all()  # no reading twice, none mixed from two
@@ -564,7 +536,6 @@ def servo_source(bus: MadeServoBus, kind: str, joints: list[ServoJoint], monkeyp
 
 
 def test_feetech_servos_are_recognised_by_model_and_supply(monkeypatch):
-    pytest.importorskip("scservo_sdk")
     with MadeServoBus(Feetech(), [1, 2, 6]) as bus:
         for id_ in (1, 2, 6):
             sts3215(bus, id_)
@@ -598,10 +569,7 @@ def test_feetech_servos_are_recognised_by_model_and_supply(monkeypatch):
 
 
 def test_dynamixel_servos_give_their_phase_current_or_else_their_duty(monkeypatch):
-    pytest.importorskip("dynamixel_sdk")
-    with MadeServoBus(Dynamixel(), [1, 2]) as bus:
-        for id_ in (1, 2):
-            x_series(bus, id_)
+    with Servos("dynamixel") as bus:
         joints = [ServoJoint(NAMES[k], k + 1) for k in range(2)]
         facts = servo_source(bus, "dynamixel", joints, monkeypatch).describe(WAIT_S)
         assert facts.signal == "current" and facts.settings.servo.torque_from == _core.TorqueFrom.phase_current
@@ -609,31 +577,21 @@ def test_dynamixel_servos_give_their_phase_current_or_else_their_duty(monkeypatc
         assert servo_source(bus, "dynamixel", joints, monkeypatch).describe(WAIT_S).signal == "duty"
 
 
-@pytest.mark.parametrize("kind", ["feetech", "dynamixel"])
+@pytest.mark.parametrize("kind", list(KINDS))
 def test_servos_whose_counts_wrap_turn_on(kind):
     """Three servos pass the seam of their counts; the Dynamixels count turns and lose one at a reboot."""
-    pytest.importorskip({"feetech": "scservo_sdk", "dynamixel": "dynamixel_sdk"}[kind])
-    protocol, series, power_on = {
-        "feetech": (Feetech, FEETECH, sts3215),
-        "dynamixel": (Dynamixel, DYNAMIXEL, x_series),
-    }[kind]
-    bus, layout = MadeServoBus(protocol(), [1, 2, 3]), {"feetech": ("H", 56), "dynamixel": ("i", 132)}[kind]
-    for id_ in (1, 2, 3):
-        power_on(bus, id_)
 
     def move(reading: int) -> None:
         counts = 1800 + 15 * reading
         for id_ in (1, 2, 3):
-            bus.put(id_, *layout, counts % 4096 if kind == "feetech" else counts - 4096 * (reading > 30))
+            bus.set(id_, "position", counts % 4096 if kind == "feetech" else counts - 4096 * (reading > 30))
 
-    bus.moves = move
     joints = (ServoJoint(NAMES[k], k + 1, 0.0, multi_turn=kind == "dynamixel") for k in range(3))
-    source = patient(ServoSource(series, bus.port, bus_file(*joints)))
-    try:
+    with Servos(kind, 3) as bus:
+        bus.moves = move
+        source = patient(ServoSource(bus.series, bus.port, bus_file(*joints)))
         keeper = Keeper(lambda verdict: verdict.row >= 60 and keeper.control.stop("test"))
         Loop(None, source, [keeper], settings=LoopSettings(missing_after_s=60.0), arm=servo_settings(3)).run()
-    finally:
-        bus.close()
     counts = np.array([one.sample.q for one in keeper.verdicts]) * 4096 / TURN
     steps = np.diff(counts, axis=0)
     assert np.abs(steps / 15 - np.round(steps / 15)).max() < 1e-6 and steps.max() < 300 and np.ptp(counts) >= 60 * 15

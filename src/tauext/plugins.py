@@ -39,16 +39,19 @@ SOURCES, COMMANDS, IMPORTERS, CHECKS, RECIPES, PARTS = GROUPS = (
     "tauext.parts",
 )
 """Groups of entry points."""
-OF_FLEET = ("fleet", "like", "prior-content")
-OF_LAB = ("sim", "simulate", "evaluate", "report", "reproduce", "joint-picture", "check-pictures", "force", "network")
-OF_LEROBOT = ("lerobot", "lerobot-calibration", "label", "guard", "feetech", "dynamixel", "damiao")
-OF_SERVOS = ("servo-torque", "servo-signals", "backlash")
-FOLDERS = (
-    {"commission": "lab commission", "ros2": "ros2"}
-    | dict.fromkeys(OF_FLEET, "lab fleet")
-    | dict.fromkeys((*OF_LAB, "torch"), "lab")
-    | dict.fromkeys(OF_LEROBOT + OF_SERVOS, "lerobot")
-)
+FOLDERS = {
+    name: folders
+    for folders, names in {
+        "lab commission": "commission",
+        "ros2": "ros2",
+        "lab fleet": "fleet like prior-content",
+        "lab": "sim simulate evaluate report reproduce joint-picture check-pictures force network torch",
+        "lerobot": (
+            "lerobot lerobot-calibration label guard feetech dynamixel damiao servo-torque servo-signals backlash"
+        ),
+    }.items()
+    for name in names.split()
+}
 """Folders of packages/ to install, by the entry point that the last one adds. No registry has these yet: their names
 there may be those of strangers."""
 MARKS = {"commission.json": "commission"}

@@ -29,7 +29,7 @@ from tauext.train.error_scale import (
     put_constant_error,
     sigma_weights,
 )
-from tauext.train.network import GainConfig, mean_delay_s
+from tauext.train.fitting import GainConfig, mean_delay_s
 
 ROWS = 20_000
 

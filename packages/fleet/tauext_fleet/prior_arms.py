@@ -17,8 +17,7 @@ from tauext.errors import ConfigError
 from tauext.progress import SILENT, Reporter
 from tauext.robot.model_case import chosen_case
 from tauext.train.data_check import check_data
-from tauext.train.fitting import fit_prior, observe
-from tauext.train.network import choose_gain
+from tauext.train.fitting import choose_gain, fit_prior, observe
 from tauext.train.preparation import NOTHING, Start, TrainingInput, TrainingRun, prepare
 from tauext_fleet.fleet_prior import ArmType
 from tauext_fleet.like import arm_type

@@ -16,10 +16,9 @@ from tauext.fit.ridge import Regressors, gather, solved
 from tauext.fit.stable_choice import simplest
 from tauext.fit.training_set import Setup, remainder, with_presliding
 from tauext.train.error_scale import ErrorRows, HeldOut, collect_rows, scale_of
-from tauext.train.fitting import fit_prior, observe, put_prior, with_fit
+from tauext.train.fitting import assemble, fit_prior, observe, put_prior, with_fit
 from tauext.train.held_peaks import Peaks, collect_peaks
 from tauext.train.limits import unseen_motion
-from tauext.train.network import assemble
 from tauext.train.promised_limits import LimitsConfig, PromisedLimits, promised_limits
 from tauext.train.supported_limits import SupportedConfig
 from tauext_fleet.fleet_prior import FleetDays, FleetErrors, block_columns

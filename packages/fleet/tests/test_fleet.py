@@ -342,7 +342,7 @@ def test_another_version_is_refused_by_the_worker(tmp_path):
 
 def test_code_that_decides_the_bytes_is_another_build(tmp_path, monkeypatch):
     roots = tuple(tmp_path / name for name in build_file.COUNTED)
-    counted = "tauext/train/network.py", "tauext_lab/evaluate/events.py", "tauext_lab/torch_backend.py"
+    counted = "tauext/train/fitting.py", "tauext_lab/evaluate/events.py", "tauext_lab/torch_backend.py"
     for name in (*counted, "tauext/cli/show.py", "tauext_lab/report/page.py"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("K = 1")
@@ -356,7 +356,7 @@ def test_code_that_decides_the_bytes_is_another_build(tmp_path, monkeypatch):
     for name in counted:
         (tmp_path / name).write_text("K = 2")
         builds.append(asked())
-    (roots[0] / "train/network.py").rename(roots[0] / "train/other.py")
+    (roots[0] / "train/fitting.py").rename(roots[0] / "train/other.py")
     assert len({*builds, asked()}) == 5
 
 

@@ -20,8 +20,7 @@ from tauext.data.servo import (
 )
 from tauext.errors import TauextError
 from tauext.progress import SILENT
-from tauext.train.fitting import observe, with_fit
-from tauext.train.network import assemble
+from tauext.train.fitting import assemble, observe, with_fit
 from tauext.train.preparation import TrainingInput, TrainingRun, prepare
 from tauext.train.stage import complete, fit_with_gain
 

@@ -1,4 +1,4 @@
-"""Loads of the arm: frame, range of masses, and errors of an arm found in the motion."""
+"""Frames of the arm for loads and forces, shapes of its links, and errors of an arm found in the motion."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from tauext.errors import ConfigError, RobotError
 from tauext.fit.find_kinematics import ArmSearch, Candidate, Kinematics, KinematicSample, all_pieces, refined
 from tauext.fit.prior_terms import PriorFit, own_terms
 from tauext.fit.training_set import Setup
-from tauext.robot.frames import load_frame
+from tauext.robot.capsules import link_capsules
+from tauext.robot.frames import load_frame, wrench_frames
 from tauext.train.preparation import TrainingRun
 
 # --- Accuracy of an arm found in the motion for loads not in training.
@@ -112,7 +113,7 @@ def put_load(run: TrainingRun, bundle: Bundle, setup: Setup, fit: PriorFit | Non
         put_found_arm(run, bundle, settings, setup, fit, fit.kinematics)
     bundle.load_settings = settings
     names = left_out(bundle)
-    run.facts["load"] = facts_of(settings) | ({"left_out": names} if names else {})
+    run.facts["load"] = load_facts(settings) | ({"left_out": names} if names else {})
 
 
 def put_found_arm(
@@ -160,9 +161,46 @@ def largest_mass_kg(run: TrainingRun, settings: LoadSettings, tree: Tree, limits
     return float((limits[bounded] / levers[bounded]).min()) if bounded.any() else None
 
 
-def facts_of(settings: LoadSettings) -> dict:
+def load_facts(settings: LoadSettings) -> dict:
     """Load settings as plain JSON."""
     if not settings.settable:
         return {"refused": settings.refused}
     bounds = {"largest_mass_kg": settings.largest_mass_kg, "largest_reach_m": settings.largest_reach_m}
     return {"frame": settings.frame, **bounds}
+
+
+# --- Accuracy of forces: the robot file's frames, and errors of the torque constants.
+
+
+def put_wrench(run: TrainingRun, bundle: Bundle) -> None:
+    """Add the robot file's frames for forces, and the errors of the torque constants.
+
+    Fitted constants have individual standard errors and a common one. Known constants, and torques recorded in N m, may
+    be off by config.torque_share each. The friction of gears under a push is part of `contact_sigma_nm`.
+    """
+    settings = bundle.wrench_settings
+    share = np.full(len(run.joints), run.config.torque_share)
+    if run.constants is not None:
+        found = run.constants.shares
+        share = np.where(np.isfinite(found) & (found > 0), np.minimum(found, 1.0), share)
+        settings.common_share = min(run.constants.common_share, 1.0)
+    settings.torque_share = share.tolist()
+    if any(link.mass > 0 for link in bundle.links):
+        try:
+            settings.frames = wrench_frames(run.given.robot, run.tree)
+            put_shapes(run, bundle)
+        except RobotError as error:
+            run.notes.append(f"forces are available at links only: {error}")
+    bundle.wrench_settings = settings
+    run.facts["wrench"] = {"torque_share": [round(one, 4) for one in share.tolist()]}
+    run.facts["wrench"] |= {"common_share": round(settings.common_share, 4)} if settings.common_share else {}
+
+
+def put_shapes(run: TrainingRun, bundle: Bundle) -> None:
+    """Add capsules of the robot file's links to the bundle; links without a shape get estimated capsules on use."""
+    bundle.capsules, notes = link_capsules(run.given.robot, run.tree, run.given.meshes)
+    shaped = {one.link for one in bundle.capsules}
+    guessed = [link.joint_name for number, link in enumerate(bundle.links) if number not in shaped]
+    run.facts["shapes"] = {"capsules": len(bundle.capsules), "guessed": guessed, "notes": notes}
+    if notes:
+        run.notes.append(f"the shape of {len(guessed)} of {len(bundle.links)} links is guessed: {notes[0]}")

@@ -6,21 +6,23 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 from tauext import plugins
 from tauext._core import Bundle
-from tauext.bundle.bundle_file import load_bundle
+from tauext.bundle.bundle_file import load_bundle, write_bundle
 from tauext.bundle.history_file import expect_journal
 from tauext.check.before_training import Rejected, expect_codes
 from tauext.config import PAPER_CASES, CaseName, TrainConfig, checked
 from tauext.data.dataset import Dataset
+from tauext.data.free_motion import total_s
 from tauext.data.labels import Label, read_labels
 from tauext.data.recording import Recording
-from tauext.data.servo import makes_torque
+from tauext.data.servo import makes_torque, servo_of_recordings
 from tauext.errors import ConfigError
 from tauext.files.preflight import expect_memory, expect_new_file, expect_time
 from tauext.fit.bundle_writing import set_drift
-from tauext.fit.network_training import apply_gate
+from tauext.fit.network_training import ScaledNetwork, apply_gate
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.training_set import Setup
 from tauext.progress import SILENT, Reporter, WallTimes
@@ -29,6 +31,10 @@ from tauext.robot.model_case import chosen_case
 from tauext.train.data_check import check_data
 from tauext.train.error_scale import collect_rows, scale_of
 from tauext.train.fitting import (
+    CHECKPOINT,
+    assemble,
+    choose_gain,
+    fit_network,
     fit_prior,
     observe,
     put_coverage,
@@ -37,9 +43,9 @@ from tauext.train.fitting import (
     with_fit,
 )
 from tauext.train.limits import limits_kind, put_limits, refuse_limits
-from tauext.train.load_frame import put_load
-from tauext.train.network import assemble, choose_gain, fit_network
+from tauext.train.load_frame import put_load, put_wrench
 from tauext.train.preparation import NOTHING, Start, TrainingInput, TrainingRun, prepare
+from tauext.train.promised_limits import remove_checkpoint
 from tauext.train.suspects import (
     Suspect,
     are_same,
@@ -49,7 +55,6 @@ from tauext.train.suspects import (
     suspect_sentences,
     without_suspects,
 )
-from tauext.train.writing import put_wrench, write
 
 # --- Least time and memory of a training, checked before anything is loaded.
 
@@ -347,3 +352,37 @@ def complete(run: TrainingRun, bundle: Bundle, setup: Setup, fit: PriorFit | Non
         run.notes.extend(run.constants.sentences(run.joints))
     run.say("finding the limits")
     put_limits(run, bundle, setup, fit)  # last: replays motion through the bundle, and caches peaks by its content
+
+
+# --- The bundle's file, with its run file and wall time beside it.
+
+
+def write(run: TrainingRun, bundle: Bundle, network: ScaledNetwork | None) -> None:
+    """Write bundle, run file and wall time, all or none, and report notes and wall times."""
+    for note in run.notes:
+        run.say(note)
+    bundle.servo = servo_of_recordings(run.training)
+    history = [list(entry) for entry in network.trained.history] if network else []
+    write_bundle(bundle, run.out, facts_of(run, bundle, network) | run.provenance, history, run.times)
+    remove_checkpoint(run.out)
+    run.out.with_suffix(CHECKPOINT).unlink(missing_ok=True)  # kept until here: gate and limits take minutes
+    run.say(run.times.sentence())
+
+
+def facts_of(run: TrainingRun, bundle: Bundle, network: ScaledNetwork | None) -> dict:
+    """Results of the training, as plain JSON."""
+    config = run.config.resolved() if run.start.learns else run.config  # nothing is trained: no epochs, no batch
+    facts: dict[str, Any] = {
+        "recipe": config.recipe,
+        "case": run.given.case.name,
+        "epochs": config.epochs,
+        "batch": config.batch,
+    }
+    facts["steps"] = network.trained.steps if network else 0
+    learned_on = run.motion.training if bundle.has_network else run.motion.uncut
+    facts["training_minutes"] = round(total_s(learned_on) / 60, 6) if run.start.learns else 0.0
+    facts["robot_sha256"] = run.training[0].robot_sha256
+    facts |= run.facts
+    if run.constants is not None:
+        facts["torque_constants"] = run.constants.facts(run.joints)
+    return facts | ({"notes": run.notes} if run.notes else {})

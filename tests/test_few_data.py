@@ -68,9 +68,9 @@ def test_gate_and_limits_are_judged_by_the_signal_ranges_that_ship(tmp_path, mon
     still, moving = motion(seconds=10.0, still=True, name="still"), motion()
     seen = []
 
-    def watched(job, bundle, setup, fit):
+    def watched(run, bundle, setup, fit):
         seen.append(bundle.largest_torque_nm)
-        put_limits(job, bundle, setup, fit)
+        put_limits(run, bundle, setup, fit)
 
     monkeypatch.setattr("tauext.train.stage.put_limits", watched)
     bundle, _ = trained(tmp_path, monkeypatch, [still, moving], recipe="prior")

@@ -53,12 +53,12 @@ class Rule(NamedTuple):
 
 
 def within(lowest: float, highest: float) -> Rule:
-    """From lowest to highest, both included."""
+    """Rule of a number from lowest to highest, both included."""
     return Rule(f" from {lowest:g} to {highest:g}", lambda value: lowest <= value <= highest)
 
 
 def above(lowest: float, highest: float = math.inf) -> Rule:
-    """Above lowest, at most highest."""
+    """Rule of a number above lowest and at most highest."""
     most = f", at most {highest:g}" if highest < math.inf else ""
     return Rule(f" > {lowest:g}{most}", lambda value: lowest < value <= highest)
 

@@ -69,7 +69,7 @@ class WallTimes:
             self.seconds[name] += time.monotonic() - started
 
     def facts(self) -> dict[str, float]:
-        """For the file of wall times: NAME_s by phase."""
+        """Facts for the file of wall times: NAME_s by phase."""
         return {f"{name}_s": round(seconds, 3) for name, seconds in self.seconds.items()}
 
     def sentence(self) -> str:

@@ -91,9 +91,9 @@ class FleetDays:
 
     covariance: np.ndarray  # (n, n), of the logarithms of each joint's factor
     arms: int
-    """With two recordings or more."""
+    """Number of arms with two recordings or more."""
     recordings: int
-    """Of these arms."""
+    """Number of recordings of these arms."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class FleetPrior:
     facts: Mapping[str, Any] = field(default_factory=dict)
     """Provenance, arms and spreads."""
     sha256: str = ""
-    """Of its file."""
+    """SHA-256 of its file."""
 
     @property
     def blocks(self) -> list[np.ndarray]:
@@ -160,7 +160,7 @@ def expect_name(path: Path) -> None:
 
 
 def content(prior: FleetPrior) -> dict:
-    """As plain JSON."""
+    """Return the prior as plain JSON."""
     weights = prior.weights
     names = [*prior.type.joints, "links"]
     return {

@@ -131,6 +131,6 @@ class MapRegression(Regression):
         return np.sqrt(np.diag(self._prior.covariance)[self.used])
 
     def _scaled_block(self, matrix: np.ndarray) -> np.ndarray:
-        """Of the used columns, in units of what they vary by in the fleet."""
+        """Block of a matrix for the used columns, in units of their spread in the fleet."""
         size = self._sizes()
         return matrix[np.ix_(self.used, self.used)] * np.outer(size, size)

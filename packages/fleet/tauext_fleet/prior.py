@@ -63,7 +63,7 @@ def friction_columns(terms: Sequence[Sequence[_core.Term]], joint: int) -> np.nd
 def arms_facts(
     names: Sequence[str], minutes: Sequence[float], joints: Sequence[str], terms: Sequence, found: Hierarchy
 ) -> list[dict]:
-    """Of each arm: minutes, and of each joint its friction by the fleet's with its error, and how it is trusted."""
+    """List minutes of each arm, and for each joint its friction by the fleet's with its error, and its trust."""
     lines = [friction_columns(terms, j) for j in range(len(joints))]
     mean = [float(line @ found.mean) for line in lines]
     facts = []
@@ -84,7 +84,7 @@ def arms_facts(
 
 
 def spread_facts(joints: Sequence[str], terms: Sequence, found: Hierarchy) -> dict:
-    """Of each joint: the fleet's friction at the speed of AT_SPEED, [N m], and by what share arms differ."""
+    """List for each joint the fleet's friction at the speed of AT_SPEED, [N m], and the share by which arms differ."""
     out = {}
     for j, name in enumerate(joints):
         line = friction_columns(terms, j)
@@ -281,7 +281,7 @@ def common_coverage(own: Sequence[OwnTerms], config: TrainConfig, gain_per_s: fl
 
 
 def settings(own: Sequence[OwnTerms], config: TrainConfig) -> dict:
-    """For provenance."""
+    """Return facts for provenance."""
     plain = {"recipe": config.recipe, "prior": config.prior}
     return {
         "data": {one.arm.name: str(one.arm.data) for one in own},

@@ -68,12 +68,12 @@ def recording_factors(
 
 
 def moved_s(recording: Recording) -> np.ndarray:
-    """For how long each joint moved, (n,)."""
+    """Time for which each joint moved, (n,), [s]."""
     return (np.abs(recording.dq) > MOVES_RAD_S).sum(axis=0) / recording.rate_hz
 
 
 def factors(equations: NormalEquations, weights: np.ndarray, terms: Sequence[Sequence[_core.Term]]) -> np.ndarray:
-    """By which friction of each joint explains the equations best while all else stays, (n,)."""
+    """Factor on the friction of each joint that explains the equations best while all else stays, (n,)."""
     out, first = np.ones(len(terms)), 0
     for j, (at, gram, moment) in enumerate(zip(equations.columns, equations.gram, equations.moment, strict=True)):
         friction = np.zeros(len(weights))
@@ -231,7 +231,7 @@ def priors_without(
     terms: Sequence[Sequence[_core.Term]],
     show: Callable[[int, int, str], None] = lambda done, total, note: None,
 ) -> list[WeightPrior]:
-    """For each arm the prior from the other arms alone."""
+    """Make for each arm the prior of the other arms alone."""
     blocks, left = block_columns(terms), groups(len(arms))
     found: dict[int, WeightPrior] = {}
     for done, group in enumerate(left):

@@ -117,7 +117,7 @@ class Stored:
     """
 
     bucket: str
-    """As in the URL: s3://BUCKET, abfs://CONTAINER@ACCOUNT.dfs.core.windows.net."""
+    """The place of the store in the URL: s3://BUCKET, abfs://CONTAINER@ACCOUNT.dfs.core.windows.net."""
     key: str
     """Below the bucket, without slashes at its ends; "" is the bucket itself."""
     query: str = ""

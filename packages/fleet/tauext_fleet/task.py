@@ -107,7 +107,7 @@ class Contents:
             pool.shutdown(cancel_futures=True)  # a Ctrl-C waits for the files that are being read, and for no other
 
     def digest(self, path: Location) -> str:
-        """Of one file; of a stored one, what the store marks its content by.
+        """SHA-256 of one file; of a stored one, the mark of its content by the store.
 
         Raises:
             ConfigError: it cannot be read.
@@ -160,7 +160,9 @@ def is_counted(package: str, name: Path) -> bool:
 
 @cache
 def build() -> str:
-    """As "0.1.0+3f9c0a1be2d4": one release may be built from several states of the code, or for several processors.
+    """Name the build, such as "0.1.0+3f9c0a1be2d4".
+
+    One release may be built from several states of the code, or for several processors.
 
     Of libraries only the core's own counts: another NumPy repeats no task, and is listed in each output's provenance.
     """

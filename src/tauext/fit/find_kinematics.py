@@ -322,7 +322,7 @@ def arm(axes: np.ndarray, joints: int) -> Kinematics:
 
 
 def refined(sample: KinematicSample, start: Candidate, free: frozenset[str]) -> Candidate:
-    """The same after Gauss-Newton steps in lengths; it is at least as good on left-out motion.
+    """Refine a candidate by Gauss-Newton steps in lengths; the result is at least as good on left-out motion.
 
     Args:
         free: what may change beside them, of "axes" and "scales".

@@ -89,7 +89,7 @@ def find_ripple(
     least_cycles: int = 1,
     config: RippleConfig = RippleConfig(),
 ) -> list[list[int]]:
-    """For each joint, the cycles per turn with a distinct ripple of motor and gear in the residual of a fit.
+    """Return for each joint the cycles per turn with a distinct ripple of motor and gear in the residual of a fit.
 
     Every whole number of cycles is tried: the share of the remainder's sum of squares that its sine and cosine,
     filtered like the observer, explain by themselves. A number is a ripple if it explains `share` and `outstands`
@@ -187,7 +187,7 @@ def find_play(
 
 
 def play_sentence(play: Play, widths_rad: Sequence[float], joints: Sequence[str]) -> str:
-    """As text; empty if no joint has play."""
+    """Describe the play of the joints; empty if none has any."""
     found = [f"{name} {2e3 * widths_rad[k]:g} mrad" for name, k in zip(joints, play, strict=True) if k is not None]
     return f"play that carries no weight: {', '.join(found)}" if found else ""
 

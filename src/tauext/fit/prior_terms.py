@@ -22,14 +22,14 @@ from tauext.fit.training_set import Setup
 
 @dataclass(frozen=True)
 class LeftOut:
-    """The same prior fitted without a fifth of the recordings, and where that lies: (recording, samples) each."""
+    """A prior fitted without a fifth of the recordings, and where that fifth lies: (recording, samples) each."""
 
     settings: _core.PriorSettings
     spans: list[tuple[Recording, slice]]
 
 
 class Refit(Protocol):
-    """The same terms fitted once more."""
+    """Fits the chosen terms once more."""
 
     def __call__(self, setup: Setup) -> PriorFit:
         """Fit to another observer's residual, on the same recordings; the setup's presliding widths are ignored."""

@@ -70,7 +70,8 @@ class ConstantsConfig:
     unknown_to: float = 1.0
     """Standard deviation of the logarithm of an unknown constant about its value by the unchanged model."""
     given_to: float = 0.06
-    """The same for a given constant: makers' numbers and gear losses are right within 10 %."""
+    """Standard deviation of the logarithm of a given constant: makers' numbers and gear losses are right within
+    10 %."""
     kept: float = 0.75
     """A given constant is kept if the motion leaves this share of its uncertainty or more."""
     unit_tie: float = 0.01
@@ -221,7 +222,7 @@ def common_and_own(covariance: np.ndarray) -> tuple[float, np.ndarray]:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Of constants and doubt, for columns of which friction and rotors were taken out."""
+    """Evidence of constants and doubt, for columns of which friction and rotors were taken out."""
 
     grams: np.ndarray
     """(n, 10 n + 1, 10 n + 1) of each joint's Z and r."""
@@ -310,7 +311,7 @@ class TorqueConstants:
     given: bool = False
     """They correct constants that the recordings were multiplied by; one that is not determined is kept."""
     kinematics: Kinematics | None = None
-    """Of the arm found in the motion, where there is no model."""
+    """The arm found in the motion, where there is no model."""
     common_share: float = 0.0
     """Relative standard error of a factor common to all joints: motion does not show the scale of the masses."""
 
@@ -339,7 +340,7 @@ class TorqueConstants:
         return _core.TorqueUnits(given, relative_to, unknown.astype(int).tolist() if unknown.any() else [])
 
     def facts(self, joints: Sequence[str]) -> dict:
-        """For provenance: the constants used, in the order of the joints, and each joint's result."""
+        """Facts for provenance: the constants used, in the order of the joints, and each joint's result."""
         facts: dict = {} if self.relative_to is None else {"relative_to": joints[self.relative_to]}
         facts |= {"given": True} if self.given else {}
         facts |= {"common_share": self.common_share} if self.common_share else {}
@@ -434,7 +435,7 @@ def fit_torque_constants(
 
 
 def with_constants(observer: _core.ObserverSettings, nm_per_unit: Sequence[float]) -> _core.ObserverSettings:
-    """The same settings for recordings whose tau is to be multiplied by these, a joint."""
+    """Settings of the observer with torque constants, one a joint, by which it multiplies tau."""
     kept = ("gain_per_s", "timing", "sample_period_ns", "network_stride", "method", "high_pass_per_s", "low_pass_per_s")
     settings = {name: getattr(observer, name) for name in kept}
     return _core.ObserverSettings(**settings, nm_per_unit=[float(constant) for constant in nm_per_unit])

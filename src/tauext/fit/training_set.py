@@ -200,7 +200,7 @@ LEAST_TORQUE_NM = 1.0
 
 @dataclass(frozen=True)
 class BoundsConfig:
-    """From where on a signal counts as impossible; narrower bounds find more faults and may reject a collision."""
+    """Bounds of possible signals; narrower ones find more faults and may reject a collision."""
 
     drive: float = 2.0
     """Multiple of the robot file's drive torque: files often state the rated torque, and a peak is twice that."""

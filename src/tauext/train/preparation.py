@@ -302,7 +302,7 @@ def leave_out_impossible(run: TrainingRun) -> list[str]:
     if left_out.found:
         run.notes.append(left_out.sentence())
         run.facts["impossible"] = left_out.facts()
-    return [passed_sentence(passed, run.joints, limits_nm)] if passed.any() else []
+    return [passed_sentence(passed, training[0].joints, limits_nm)] if passed.any() else []
 
 
 def passed_limits(free: Sequence[Recording], torque_limit_nm: np.ndarray, nm_per_unit: Sequence[float]) -> np.ndarray:

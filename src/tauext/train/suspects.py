@@ -364,7 +364,7 @@ class _Shown:
     suspect: Suspect
     q: np.ndarray
     signs: np.ndarray
-    """Of the errors of its joints and of their speeds."""
+    """Signs of the errors of its joints and of their speeds."""
     turned_alone: bool
     """Whether one joint alone errs that has just started, stopped or turned."""
 

@@ -1,4 +1,10 @@
-"""Limits of a training: by a promise, from minutes of data, or as in the paper."""
+"""Limits of a training: by a promise, from minutes of data, or as in the paper.
+
+A kind of limits is a function `put(bundle, motion) -> facts` in LIMITS: put_promised, put_supported or put_paper. All
+use the same motion (LimitMotion) and the peaks of its held error (held_peaks). Limits with a stated rate follow from
+the peaks' tails (fit/tail.py), the rate that each tail is allowed (fit/limits_together.py), and the level at this rate
+(promised_limits.limits_of).
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 // A monitor after many hours beside a fresh one: same answers, same memory, no allocation. Exit status 1 where not.
-//   soak_bench [hours 24] [joints 2] [seed 1]
+//   monitor_soak [hours 24] [joints 2] [seed 1]
 #include <algorithm>
 #include <array>
 #include <bit>
@@ -18,7 +18,7 @@
 #include <unistd.h>
 #endif
 
-#include "../tests/made_bundle.hpp"
+#include "made_bundle.hpp"
 #include "tauext/monitor.hpp"
 
 // Every allocation is counted. With glibc at malloc and its relatives, where operator new and the network's aligned
@@ -50,7 +50,7 @@ using namespace tauext;
 namespace {
 
 constexpr char kUsage[] =
-    "usage: soak_bench [hours 24] [joints 2] [seed 1]\n"
+    "usage: monitor_soak [hours 24] [joints 2] [seed 1]\n"
     "\n"
     "Feeds simulated hours of 1 kHz samples to one monitor at full speed, with jittering stamps, gaps, values that\n"
     "are not finite and one collision, the last ten minutes without; then compares with a monitor that saw only the\n"
@@ -358,7 +358,7 @@ int main(int argc, char** argv) {
     const double seed = whole("seed", argument(3, "1"), 0, 1e9);
     soak(hours, static_cast<int>(joints), static_cast<std::uint64_t>(seed));
   } catch (const std::exception& e) {
-    std::fprintf(stderr, "soak_bench: %s\n\n%s", e.what(), kUsage);
+    std::fprintf(stderr, "monitor_soak: %s\n\n%s", e.what(), kUsage);
     return 2;
   }
   return passed ? 0 : 1;

@@ -1,10 +1,8 @@
-"""What a fleet loses when something is killed midway: a worker, a node, the head of a Ray cluster, the driver.
+"""A Ray cluster on this machine whose worker, node, head or driver is killed midway through a fleet's command.
 
-    python packages/fleet/benchmarks/fleet_kills.py MODELS OUT [--arms 8] [--minutes 1]
-
-A line a case. The cluster is two nodes of one core each on this machine. Midway: some tasks are finished,
-and the victim is at work. Untouched: what was finished then has the same bytes and times at the end. Equal: outputs,
-and the book without its seconds, are those of an undisturbed run with one local worker.
+The cluster is two nodes of one core each. Midway: some tasks are finished, and the victim is at work. Untouched: what
+was finished then has the same bytes and times at the end. Equal: outputs, and the book without its seconds, are those
+of an undisturbed run with one local worker.
 """
 
 from __future__ import annotations
@@ -13,7 +11,6 @@ import json
 import os
 import re
 import secrets
-import shutil
 import signal
 import socket
 import subprocess
@@ -25,12 +22,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
-
-sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
-
-from common import arguments, free_port
-from fleet import simulate, written
-from unseen.arms import makers
 
 # --- A Ray cluster of nodes on this machine, one core each, whose processes can be killed one by one.
 
@@ -234,13 +225,22 @@ def touched(out: Path) -> dict[str, tuple[int, bytes]]:
     return {str(file): (file.stat().st_mtime_ns, file.read_bytes()) for file in files}
 
 
+def free_port() -> int:
+    """A port of this computer that nothing listens on."""
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
 def outputs(out: Path) -> dict[str, bytes]:
-    """All outputs, and the book without its seconds."""
+    """All outputs but wall times, and the book without its seconds; reasons without the folder's name."""
     book = json.loads((out / "fleet.json").read_text())
     for arm in book["arms"]:
         for stage in arm["stages"].values():
             del stage["seconds"]
-    return written(out) | {"fleet.json": json.dumps(book).encode()}
+    files = [one for one in (out / "arms").rglob("*") if one.is_file() and not one.name.endswith("wall_time_s.json")]
+    found = {str(p.relative_to(out)): p.read_bytes().replace(str(out).encode(), b"OUT") for p in files}
+    return found | {"fleet.json": json.dumps(book).encode()}
 
 
 def started(fleet: Path, out: Path, *more: str) -> subprocess.Popen[bytes]:
@@ -324,34 +324,3 @@ def judge(case: str, fleet: Path, out: Path, undisturbed: dict[str, bytes]) -> V
 def again(fleet: Path, out: Path, *more: str) -> int:
     with under_way(fleet, out, *more) as running:
         return running.driver.wait()
-
-
-def main() -> None:
-    parser = arguments(__doc__, "models", "out")
-    parser.add_argument("--arms", type=int, default=8)
-    parser.add_argument("--minutes", type=float, default=1.0)
-    asked = parser.parse_args()
-    asked.out.mkdir(parents=True, exist_ok=True)
-    fleet = simulate(makers(asked.models)["ur5"], asked.out, asked.arms, asked.minutes, os.cpu_count() or 1)
-    shutil.rmtree(asked.out / "runs", ignore_errors=True)
-    reference = asked.out / "runs" / "undisturbed"
-    if again(fleet, reference, "--workers", "1") != 0:
-        raise SystemExit("the undisturbed run failed")
-    undisturbed = outputs(reference)
-    print(f"undisturbed, one local worker: {len(done(reference))} tasks", flush=True)
-    with Nodes() as nodes:
-        status = again(fleet, asked.out / "runs" / "ray", "--ray", nodes.address)
-    print(
-        f"undisturbed, Ray: exit {status}, bytes equal {yes(outputs(asked.out / 'runs/ray') == undisturbed)}",
-        flush=True,
-    )
-    bad = 0
-    for number, case in enumerate(CASES):
-        verdict = judge(case, fleet, asked.out / "runs" / f"case-{number}", undisturbed)
-        bad += not verdict.good
-        print(verdict.line(), flush=True)
-    raise SystemExit(bad)
-
-
-if __name__ == "__main__":
-    main()

@@ -11,7 +11,6 @@ medians are given.
 from __future__ import annotations
 
 import os
-import platform
 import shutil
 import statistics
 import subprocess
@@ -23,10 +22,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pinocchio as pin
-from common import arguments
+from common import about_run, arguments, head, table_row
 
-import tauext
-from tauext.files.provenance import machine
 from tauext.robot.read import load_tree
 
 HERE = Path(__file__).parent
@@ -52,7 +49,7 @@ def main() -> None:
 
     with tempfile.TemporaryDirectory() as folder:
         ways: dict[str, Callable[[], tuple[float, np.ndarray]]] = {
-            "tauext sweep": lambda: timed(lambda: sweep(tree, q, dq), options.states),
+            "tauext sweep": lambda: timed(lambda: np.stack(tree.momentum(q, dq)), options.states),
             **compiled_ways(Path(folder), model, scene, q, dq),
             "Pinocchio from Python": lambda: timed(lambda: by_pinocchio(model, q, dq), options.states, 1),
             "MuJoCo from Python": lambda: timed(lambda: by_mujoco(scene, q, dq), options.states, 1),
@@ -64,15 +61,15 @@ def main() -> None:
                 ns, answers[name] = way()
                 times[name].append(ns)
 
-    print(f"{machine()}, Python {platform.python_version()}, NumPy {np.__version__}")
-    print(f"tauext {tauext.__version__}, Pinocchio {pin.__version__}, MuJoCo {mujoco.__version__}")
+    print(f"{about_run()}; Pinocchio {pin.__version__}, MuJoCo {mujoco.__version__}")
     print(f"{ARM.name}, {options.states} random states, median of {options.rounds} rounds in turns\n")
-    print(f"{'p and beta of one state':31}{'ns':>8}{'(min':>9}{'max)':>8}{'ratio':>8}   difference of p, beta")
+    print("\n".join(head("p and beta of one state | ns | min | max | ratio | difference of p | beta")))
     base, reference = statistics.median(times["tauext sweep"]), answers["Pinocchio from Python"]
     for name, ns in times.items():
         median = statistics.median(ns)
-        p, beta = (np.abs(a - b).max() / np.abs(b).max() for a, b in zip(answers[name], reference, strict=True))
-        print(f"{name:31}{median:8.0f}{min(ns):9.0f}{max(ns):8.0f}{median / base:8.1f}   {p:.1e}, {beta:.1e}")
+        off = (np.abs(a - b).max() / np.abs(b).max() for a, b in zip(answers[name], reference, strict=True))
+        numbers = f"{median:.0f}", f"{min(ns):.0f}", f"{max(ns):.0f}", f"{median / base:.1f}"
+        print(table_row(name, *numbers, *(f"{one:.1e}" for one in off)))
     print("\ndifference: largest, relative to the largest value of Pinocchio's from Python")
 
 
@@ -84,10 +81,6 @@ def timed(work: Callable[[], np.ndarray], states: int, batches: int = BATCHES) -
         answer = work()
         ns.append((time.perf_counter_ns() - start) / states)
     return statistics.median(ns), answer
-
-
-def sweep(tree: tauext._core.Tree, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
-    return np.stack(tree.momentum(q, dq))
 
 
 def by_pinocchio(model: pin.Model, q: np.ndarray, dq: np.ndarray) -> np.ndarray:

@@ -31,7 +31,6 @@ import numpy as np
 from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
-sys.path.insert(0, str(Path(__file__).parents[3] / "tests"))
 
 from common import arguments, head, table_row, write_tables
 from made_browser import Browser, Page
@@ -95,10 +94,6 @@ def wait_for(true: Callable[[], Any], what: str, patience_s: float = PATIENCE_S)
 def within(began: float, limit_s: float) -> tuple[str, bool]:
     seconds = time.monotonic() - began
     return f"{seconds:.1f} s", seconds <= limit_s
-
-
-def yes(done: bool) -> tuple[str, bool]:
-    return ("yes" if done else "no"), done
 
 
 def recordings(folder: Path) -> int:
@@ -174,16 +169,12 @@ class Command:
         self._report.line(f"control line `{line}`: {answer}")
         return answer
 
-    def kill(self) -> tuple[float, int]:
-        """kill -9 of the main process; seconds until its other processes have ended, too, and how many have not."""
+    def kill(self) -> None:
+        """kill -9 of the main process; its other processes end, too."""
         os.kill(self.process.pid, signal.SIGKILL)
-        began = time.monotonic()
         self.process.wait()
-        with suppress(TimeoutError):
-            wait_for(lambda: not self.members(), "the end of the other processes", 10.0)
-        took_s, left = time.monotonic() - began, len(self.members())
+        wait_for(lambda: not self.members(), "the end of the other processes", 10.0)
         self._report.line("(kill -9 of the main process)")
-        return took_s, left
 
     def stop(self) -> None:
         self.process.send_signal(signal.SIGINT)
@@ -300,7 +291,8 @@ def first_use(report: Report, folder: Path, arm: str, out: Path, browser: Browse
         with browser.page(command.url, *LOOKS["desktop"][0], "light") as page:
             time.sleep(SETTLE_S)
             save(page, out / "asking-desktop-light.png")  # for the first page of the documentation
-        report.check("an answer is confirmed", *yes(command.tell(f"touched {alarm}") == "ok"))
+        said = command.tell(f"touched {alarm}")
+        report.check("an answer is confirmed", said, said == "ok")
         command.stop()
 
 
@@ -414,7 +406,8 @@ def empty(report: Report, command: Command, kept: Confirmed, dummy: Path) -> Non
     folder = command.folder
     _, seconds = command.is_monitored()
     report.check("monitored again after a kill on the full disk", f"{seconds:.1f} s", seconds <= AGAIN_S)
-    report.check("another answer is confirmed and stored", *yes(kept.answer(command, "touched")))
+    stored = kept.answer(command, "touched")
+    report.check("another answer is confirmed and stored", stored, stored)
     kept.check("after the kill")
     dummy.unlink()
     began, before = time.monotonic(), recordings(folder)

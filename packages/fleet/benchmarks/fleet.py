@@ -48,7 +48,7 @@ def simulate(maker: Maker, out: Path, arms: int, minutes: float, workers: int) -
 def sources(maker: Maker, number: int, folder: Path, takes: tuple[Take, ...]) -> None:
     """The CSV files of one arm and their description, some broken."""
     simulate_takes(maker, FIRST_SEED + number, folder, takes)
-    (folder / "arm.toml").write_text(description(maker, FIRST_SEED + number, True, takes))
+    (folder / "arm.toml").write_text(description(maker, FIRST_SEED + number, takes))
     broken = folder / f"{takes[-1].name}.csv"
     if BROKEN.get(number % 20) == "empty":
         broken.write_bytes(b"")

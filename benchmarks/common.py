@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import re
 import shlex
 import subprocess
@@ -228,16 +227,6 @@ def compiler_flags() -> str:
     gnu = _core.COMPILER.startswith("gcc")
     chosen = re.sub(r"\$<IF:\$\{gnu\},([^,>]*),([^>]*)>", lambda one: one.group(1 if gnu else 2), found.group(1))
     return " ".join([_core.COMPILER, "C++20", *(f for f in chosen.split() if not f.startswith(("-W", "$<")))])
-
-
-def other_processes_s() -> float:
-    """Processor time of all other processes since the system started; 0 where unknown."""
-    stat = Path("/proc/stat")
-    if not stat.exists():
-        return 0.0
-    ticks = [int(value) for value in stat.read_text().split("\n")[0].split()[1:]]
-    here, second = os.times(), os.sysconf("SC_CLK_TCK")
-    return sum(ticks[:3]) / second - (here.user + here.system + here.children_user + here.children_system)
 
 
 # --- Signals.

@@ -1,6 +1,6 @@
 """Time of the monitor at every sample, back to back and in a loop that sleeps until each sample is due.
 
-    python benchmarks/monitor.py [--joints 2 7] [--steps 1000000] [--paced-s 10] [--rounds 3] [--json FILE]
+    python benchmarks/monitor.py [--joints 2 7] [--steps 1000000] [--paced-s 10] [--rounds 3]
                                  [--arms rig seven --out OUT] [--against COMMIT]
 
 monitor_bench (make benches) measures on one core, in SCHED_FIFO where that is granted: estimate(), advance(), the
@@ -23,7 +23,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from common import ROOT, about_run, arguments, compiler_flags, head, save_json, table_row
+from common import ROOT, about_run, arguments, compiler_flags, head, table_row
 
 
 def main() -> None:
@@ -36,7 +36,6 @@ def main() -> None:
     parser.add_argument("--arms", nargs="+", choices=("rig", "seven"), default=[], help="trained bundles as well")
     parser.add_argument("--out", type=Path, help="folder of --arms' bundles")
     parser.add_argument("--against", metavar="COMMIT", help="built and run in turns")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="every number")
     options = parser.parse_args()
     if options.arms and not options.out:
         parser.error("--arms needs --out, a folder for bundles")
@@ -56,8 +55,6 @@ def main() -> None:
                 cells = [found[first][key] for key in ("p50_ns", "p99_ns", "p99_9_ns", "max_ns")]
                 cells += [found["advance"][key] for key in ("p50_ns", "p99_9_ns")]
                 print(table_row(name, part, *(f"{ns / 1e3:.2f}" for ns in cells)))
-    if options.json:
-        save_json({"about": about_run()} | results, options.json)
 
 
 def measured(options: argparse.Namespace, *words: object) -> dict:
@@ -78,7 +75,7 @@ def trained_arm(arm: str, out: Path) -> tuple[Path, Path]:
     out.mkdir(parents=True, exist_ok=True)
     bundle, motion = train(arm, out), out / f"{arm}.f64"
     if not motion.exists():
-        free = practice_recording(CASES[arm][0](), 60.0, 0, 50)
+        free = practice_recording(CASES[arm](), 60.0, 0, 50)
         np.hstack([free.q, free.dq, free.tau]).astype("<f8").tofile(motion)
     return bundle, motion
 

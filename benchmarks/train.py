@@ -4,9 +4,9 @@
 
 Step: gradient and Adam for 1000 windows of 100 steps. The core gathers its windows from the rows within the measured
 time, and so does tauext's own PyTorch backend; plain torch.nn.LSTM and torch.optim.Adam have them ready. Evaluation:
-every window of ten minutes at 100 Hz, read from rows; of PyTorch's ways (windows as a view or gathered) the faster is
-shown. Everything runs in turns in one process. A turn begins with a pause, since PyTorch's threads spin for a while
-after their work, and with a run that is not counted. Without PyTorch only tauext is measured.
+every window of ten minutes at 100 Hz, read from rows. Everything runs in turns in one process. A turn begins with a
+pause, since PyTorch's threads spin for a while after their work, and with a run that is not counted. Without PyTorch
+only tauext is measured.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from common import about_run, arguments, compiler_flags, head, other_processes_s, table_row
+from common import about_run, arguments, compiler_flags, head, table_row
 
 from tauext import _core
 from tauext.errors import ConfigError
@@ -58,13 +58,10 @@ def main() -> None:
     print(f"PyTorch {torch.__version__} on the CPU" if torch else f"PyTorch is not measured: {why_not}")
     print(f"H = {HIDDEN}, {rounds} rounds in turns; largest difference of outputs to double precision\n")
     print("\n".join(head("task | threads | way | ms, median | min | max | ratio | outputs, gradient")))
-    before_s = other_processes_s()
     for threads in (1, 2):
         for joints in (2, 7):
             show(step_comparison(joints, threads), rounds)
         show(evaluation_comparison(windows, threads), rounds)
-    others = other_processes_s() - before_s
-    print(f"\nother processes took {max(others, 0.0):.1f} s meanwhile (more than a few spoil the numbers)")
 
 
 def step_comparison(joints: int, threads: int) -> Comparison:
@@ -100,8 +97,7 @@ def evaluation_comparison(count: int, threads: int) -> Comparison:
         some = windows.ends[:: max(1, count // BATCH)]
         exact = double_precision(core.shape, start, written_out(setup, windows, some), windows.target_rows[some])[0]
         own = torch_backend.TorchBackend(torch_backend.lstm_module(setup, HIDDEN, 0), setup, windows, STEPS, targets=1)
-        for reading in ("view", "gathered"):
-            ways[f"PyTorch, {reading}"] = pytorch_evaluation(core.shape, start, setup, windows, reading)
+        ways["PyTorch"] = pytorch_evaluation(core.shape, start, setup, windows)
         ways[BACKEND] = lambda: own.predict(start, windows, windows.ends)
         for name, way in ways.items():
             accuracy[name] = differences((way()[:: max(1, count // BATCH)], None), (exact, None))
@@ -169,23 +165,17 @@ def pytorch_step(
     return step, (first, torch_backend.flat([p.grad for p in trained]).numpy())
 
 
-def pytorch_evaluation(
-    shape: _core.LstmShape, parameters: np.ndarray, setup: Setup, windows: WindowSet, reading: str
-) -> Way:
-    """All windows of the rows, 4000 at once, time first: out of a view into the rows, or gathered by index."""
+def pytorch_evaluation(shape: _core.LstmShape, parameters: np.ndarray, setup: Setup, windows: WindowSet) -> Way:
+    """All windows of the rows, 4000 at once, time first, as a view into the rows."""
     lstm, head = torch_backend.lstm_from_parameters(shape, parameters)
     lstm.batch_first = False
     inputs = np.stack([np.roll(windows.rows[:, column], lag) for column, lag in setup.inputs], axis=-1)
-    rows, ends, steps = torch.from_numpy(inputs), torch.from_numpy(windows.ends), torch.arange(1 - STEPS, 1)
+    rows = torch.from_numpy(inputs)
 
     def evaluate() -> np.ndarray:
-        if reading == "view":
-            view = rows[setup.reach - STEPS + 1 :].unfold(0, STEPS, 1).permute(2, 0, 1)  # (T, N, F)
-            batches = view.split(4000, dim=1)
-        else:
-            batches = (rows[some + steps[:, None]] for some in ends.split(4000))
+        view = rows[setup.reach - STEPS + 1 :].unfold(0, STEPS, 1).permute(2, 0, 1)  # (T, N, F)
         with torch.no_grad():
-            return torch.cat([head(lstm(x)[0][-1]) for x in batches]).numpy()
+            return torch.cat([head(lstm(x)[0][-1]) for x in view.split(4000, dim=1)]).numpy()
 
     return evaluate
 
@@ -207,7 +197,7 @@ def differences(result: tuple, exact: tuple) -> tuple[float | None, float | None
 
 
 def show(comparison: Comparison, rounds: int) -> None:
-    """Measure the ways in turns and print a line for ours, for PyTorch's fastest and for our PyTorch backend."""
+    """Measure the ways in turns and print a line for each."""
     times: dict[str, list[float]] = {name: [] for name in comparison.ways}
     if torch:
         torch.set_num_threads(comparison.threads)
@@ -220,8 +210,7 @@ def show(comparison: Comparison, rounds: int) -> None:
                 way()
                 times[name].append(1e3 * (time.perf_counter() - start))
     medians = {name: statistics.median(ms) for name, ms in times.items()}
-    fastest = min((name for name in times if name.startswith("PyTorch")), key=medians.get, default=None)
-    for name in (one for one in (CORE, fastest, BACKEND) if one in times):
+    for name in times:
         numbers = (f"{ms:.2f}" for ms in (medians[name], min(times[name]), max(times[name])))
         accuracy = ", ".join("-" if a is None else f"{a:.0e}" for a in comparison.accuracy.get(name, (None, None)))
         ratio = f"{medians[name] / medians[CORE]:.1f}"

@@ -59,15 +59,6 @@ std::int64_t now_ns() noexcept {
   return text;
 }
 
-std::string quoted(std::string_view text) {
-  std::string out = "\"";
-  for (const char c : text) {
-    if (c == '"' || c == '\\') out += '\\';
-    out += static_cast<unsigned char>(c) < ' ' ? ' ' : c;
-  }
-  return out + '"';
-}
-
 // Real-time settings that the operating system permits. Only existing pages are locked: with MCL_FUTURE and a small limit
 // the next allocation would fail.
 struct RealTime {
@@ -359,11 +350,11 @@ double number(const char* what, const char* text, double least, double largest) 
   return value;
 }
 
-void measure(const Bundle& b, const char* bundle_name, const Recorded* recorded, std::int64_t steps, double paced_s) {
+void measure(const Bundle& b, const Recorded* recorded, std::int64_t steps, double paced_s) {
   const double ticks = paced_s * 1e9 / static_cast<double>(b.observer.sample_period_ns);
   Parts parts(std::max(steps, static_cast<std::int64_t>(ticks) + 1));
   RealTime real_time;
-  std::string json = "{" + sizes(b) + ", \"bundle\": " + quoted(bundle_name) + ", \"compiler\": " + quoted(__VERSION__);
+  std::string json = "{" + sizes(b);
   json += format(", \"lanes\": %d, \"steps\": %lld", lanes::lane_count(), (long long)steps);
   const auto monitor_in = [&](During during) { return monitor_part(b, recorded, during, steps, real_time, parts); };
   json += ", \"monitor\": " + monitor_in(During::free_motion);
@@ -394,7 +385,7 @@ int main(int argc, char** argv) {
     const Bundle bundle = made_here ? made::bundle(joints, kHidden, kWindowSteps, kStride, 1) : load_bundle(path);
     std::optional<Recorded> recorded;
     if (std::string_view(motion) != "-") recorded.emplace(bundle, motion);
-    measure(bundle, path, recorded ? &*recorded : nullptr, steps, paced_s);
+    measure(bundle, recorded ? &*recorded : nullptr, steps, paced_s);
   } catch (const std::exception& e) {
     std::fprintf(stderr, "monitor_bench: %s\n\n%s", e.what(), kUsage);
     return 2;

@@ -124,7 +124,7 @@ class Simulation:
         self.alarms = self.number = 0
         self.now_ns = self.newest_s = 0
         self.most_bytes = 0
-        self.training_s: list[tuple[str, float]] = []
+        self.work_s = 0.0
 
     # Motion.
 
@@ -190,10 +190,10 @@ class Simulation:
         while (seconds := self.folder.seconds()) >= self.busy_s:
             self.take_over(seconds)  # the loop does not wait for the next training
             started = time.monotonic()
-            if (what := self.trainer.step()) == "nothing":
+            if self.trainer.step() == "nothing":
                 return
             took_s = time.monotonic() - started
-            self.training_s.append((what, took_s))
+            self.work_s += took_s
             self.busy_s = self.folder.seconds() + took_s
 
     def take_over(self, seconds: float) -> None:
@@ -381,7 +381,7 @@ def main() -> None:
             "first_s": simulation.first_s,
             "parts": [asdict(one) for one in simulation.outcomes],
             "most_bytes": simulation.most_bytes,
-            "work_s": sum(took for _, took in simulation.training_s),
+            "work_s": simulation.work_s,
         }
         save_json(result, options.out / f"{name}.json")
     simulation.sink.close()

@@ -20,19 +20,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 
-from common import (
-    COLLISION,
-    collisions_begin,
-    estimates,
-    head,
-    rms,
-    runs,
-    table_row,
-    tauext,
-    trained,
-    type_arguments,
-    write_tables,
-)
+from common import collisions_begin, estimates, head, runs, table_row, tauext, trained, type_arguments, write_tables
 from unseen.arms import Maker, makers
 from unseen.recordings import STRONG, Take, make_dataset, nearest, nm_per_given, truth_of
 
@@ -40,7 +28,6 @@ from tauext import _core
 from tauext.data.dataset import load_split
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.monitor.estimate import estimate_recording
 
 FLEET_TAKES = (Take("work-1", "train", 3), Take("work-2", "train", 3, 0, 600))
 NEW_TAKES = (
@@ -114,8 +101,9 @@ def judge(maker: Maker, seed: int, folder: Path, data: Path, paths: dict[str, Pa
     strong = every = 0
     for name in split.collisions:
         recording = load_recording(data / name)
-        truths = {take.name: json.loads((folder / "csv" / f"{take.name}.truth.json").read_text()) for take in NEW_TAKES}
-        said = {way: held_alarms(bundle, recording) for way, bundle in bundles.items()}
+        files = {take.name: folder / "csv" / f"{take.name}.truth.json" for take in NEW_TAKES}
+        truths = {take: json.loads(path.read_text()) for take, path in files.items()}
+        said = {way: estimates(bundle, recording)["held_alarm"] for way, bundle in bundles.items()}
         start_s, labels = 1e-9 * float(recording.t_ns[0]), contacts(recording)
         for begin, end in labels:
             truth = nearest(truth_of(recording.name, truths), start_s + float(recording.time_s[begin]))
@@ -123,7 +111,7 @@ def judge(maker: Maker, seed: int, folder: Path, data: Path, paths: dict[str, Pa
             every, strong = every + 1, strong + is_strong
             last = end + round(AFTER_S * recording.rate_hz)
             for way, held in said.items():
-                hit = bool((held[begin:last] == COLLISION).any())
+                hit = len(collisions_begin(held[begin:last], recording.t_ns[begin:last])) > 0
                 outcomes[way].found += hit
                 outcomes[way].found_strong += hit and is_strong
     return {"every": every, "strong": strong, "outcomes": outcomes}
@@ -139,9 +127,9 @@ def of_free(bundle: _core.Bundle, recordings: Sequence[Recording], scale: np.nda
         errors.append(scale * said["tau_ext"][free])
         level = np.where(said["near_stiction"], bundle.near_stiction_limit_nm, bundle.sliding_limit_nm)
         limits.append(scale * (level * said["limit_scale"] + said["doubt"])[free])
-        outcome.false += len(collisions_begin(held_alarms(bundle, recording)[free], recording.t_ns[free]))
+        outcome.false += len(collisions_begin(said["held_alarm"][free], recording.t_ns[free]))
         outcome.hours += float(free.sum()) / recording.rate_hz / 3600
-    outcome.error_nm = rms(np.concatenate(errors), 0)
+    outcome.error_nm = np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
     outcome.limit_nm = np.mean(np.concatenate(limits), axis=0)
     return outcome
 
@@ -153,13 +141,6 @@ def free_of(recording: Recording) -> np.ndarray:
         first, last = (round(s * recording.rate_hz) for s in (BEFORE_S, AFTER_CONTACT_S))
         free[max(0, begin - first) : end + last] = False
     return free
-
-
-def held_alarms(bundle: _core.Bundle, recording: Recording) -> np.ndarray:
-    """Of each sample, as evaluate sees them."""
-    held = estimate_recording(bundle, recording, 1).held_alarm
-    assert held is not None
-    return held
 
 
 def contacts(recording: Recording) -> list[tuple[int, int]]:

@@ -1,6 +1,6 @@
 """What each part adds: estimator x limits x observer gain, at a bundle's own limits and at one false alarm an hour.
 
-    python packages/lab/benchmarks/ablation.py DATA OUT [--models exact none] [--seeds 0 1 2] [--hours 8 5] [--tables]
+    python packages/lab/benchmarks/ablation.py DATA OUT [--models exact none] [--seeds 0 1 2] [--hours 8 5]
 
 DATA is a dataset of `tauext simulate` with calibration and test hours. Recordings are reduced to RATE_HZ (positions and
 speeds of every fifth sample, the torque's mean over the step), so that an hour costs a fifth. What OUT holds already is
@@ -215,9 +215,6 @@ def judge(path: Path, data: Path) -> dict:
     return content
 
 
-# --- Tables.
-
-
 def at_rate(curve: list[dict], per_hour: float) -> dict | None:
     """The point with the lowest limits whose measured false alarm rate is at most this."""
     fitting = [point for point in curve if point["false_per_hour"] <= per_hour]
@@ -287,14 +284,10 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument("--hours", nargs=2, type=float, default=[8.0, 5.0], help="of calibration and of test motion")
     parser.add_argument("--paper", type=Path, help="folder with CASE-SEED.tauext of recipe paper")
-    parser.add_argument("--tables", action="store_true", help="print the tables of what is there")
     options = parser.parse_args()
     out, data = options.out, options.out / "data"
-    if not options.tables:
-        reduce_dataset(options.data, data, *options.hours)
-        in_parallel(
-            options.workers, run, [(job, data, out, options.paper) for job in jobs(options.models, options.seeds)]
-        )
+    reduce_dataset(options.data, data, *options.hours)
+    in_parallel(options.workers, run, [(job, data, out, options.paper) for job in jobs(options.models, options.seeds)])
     write_page(ROOT / "docs/results/comparison/ablation.inc", tables(out, options.models))
 
 

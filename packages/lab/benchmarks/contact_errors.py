@@ -117,15 +117,12 @@ def coarse(arm: GearedArm) -> GearedArm:
     return replace(arm, name=f"{arm.name}-12bit", sensors=replace(arm.sensors, encoder_counts=COARSE_COUNTS))
 
 
-CASES: dict[str, tuple[Callable[[], GearedArm], int]] = {
-    "rig": (ARMS["rig"], 1),
-    "seven": (ARMS["seven"], 1),
-    "rig-12bit": (lambda: coarse(ARMS["rig"]()), 1),
-    "seven-12bit": (lambda: coarse(ARMS["seven"]()), 1),
-    "rig-100hz": (ARMS["rig"], 10),
-    "seven-100hz": (ARMS["seven"], 10),
+CASES: dict[str, Callable[[], GearedArm]] = {
+    "rig": ARMS["rig"],
+    "seven": ARMS["seven"],
+    "rig-12bit": lambda: coarse(ARMS["rig"]()),
+    "seven-12bit": lambda: coarse(ARMS["seven"]()),
 }
-"""Arm, and how many samples of the loop make one of the log."""
 
 
 def main() -> None:
@@ -146,25 +143,13 @@ def main() -> None:
     write_tables(options.out, table(rows), short(rows), "contact_errors")
 
 
-def thinned(recording: Recording, by: int) -> Recording:
-    """One sample of so many, with the mean torque since the last one."""
-    if by == 1:
-        return recording
-    count = recording.samples // by
-    last = slice(by - 1, by * count, by)
-    tau = recording.tau[: by * count].reshape(count, by, -1).mean(axis=1)
-    signals = {name: getattr(recording, name)[last] for name in ("t_ns", "q", "dq")}
-    return replace(recording, **signals, tau=tau, rate_hz=recording.rate_hz / by, torque_timing="averaged")
-
-
 def train(name: str, out: Path) -> Path:
     """A bundle from minutes of the arm's free motion."""
     path = out / f"{name}.tauext"
     if not path.exists():
-        make, by = CASES[name]
-        arm = make()
+        arm = CASES[name]()
         count, config = PRACTICE[arm.name.split("-")[0]]
-        recordings = [thinned(practice_recording(arm, 60.0, 0, k), by) for k in range(count)]
+        recordings = [practice_recording(arm, 60.0, 0, k) for k in range(count)]
         robot = out / f"{name}.xml"
         robot.write_text(arm.xml)
         tree = estimated_model(robot, arm.joints, PAPER_CASES["exact"])
@@ -177,8 +162,7 @@ def draw_of(name: str, out: Path, seed: int) -> Path:
     path = out / f"{name}-{seed}.npz"
     if path.exists():
         return path
-    make, by = CASES[name]
-    arm, bundle = make(), _core.Bundle.load(str(train(name, out)))
+    arm, bundle = CASES[name](), _core.Bundle.load(str(train(name, out)))
     rng = np.random.default_rng([seed, 36])
     plant, mover, monitor = Plant(arm, seed), Mover(arm, seed), _core.Monitor(bundle)
     press_s = rng.uniform(*PRESS_S)
@@ -190,7 +174,6 @@ def draw_of(name: str, out: Path, seed: int) -> Path:
     signals: dict[str, list[np.ndarray]] = {key: [] for key in ("q", "dq", "tau", "true")}
     stamps: list[int] = []
     phases: list[int] = []
-    heap: list[np.ndarray] = []
     ends_s = BEFORE_S + 1.0 + press_s
     stopped = False
     total_s = ends_s + STAND_S + AFTER_S
@@ -209,13 +192,10 @@ def draw_of(name: str, out: Path, seed: int) -> Path:
         force, point = hand.force_n(plant) if hand is not None else (None, None)
         sample = plant.step(*mover.step(), force, point, joint)
         q, dq = sample.q, sample.dq
-        heap.append(sample.tau)
-        if len(heap) == by:
-            said = monitor.step(sample.t_ns, q, dq, np.mean(heap, axis=0))
-            heap.clear()
-            if hand is not None and not stopped and said.alarm == _core.Alarm.collision:
-                stopped = True
-                mover.stop()
+        said = monitor.step(sample.t_ns, q, dq, sample.tau)
+        if hand is not None and not stopped and said.alarm == _core.Alarm.collision:
+            stopped = True
+            mover.stop()
         stamps.append(sample.t_ns)
         for key, value in (("q", q), ("dq", dq), ("tau", sample.tau), ("true", sample.tau_ext)):
             signals[key].append(value.copy())
@@ -243,16 +223,12 @@ def phase(now: float, ends_s: float, stopped: bool) -> int:
 
 def judged(name: str, out: Path, seed: int, draws: int) -> list[dict]:
     """Error against standard error by phase and joint, over all draws."""
-    (make, by), bundle = CASES[name], _core.Bundle.load(str(train(name, out)))
-    arm = make()
+    arm, bundle = CASES[name](), _core.Bundle.load(str(train(name, out)))
     found: list[tuple[np.ndarray, ...]] = []
     for k in range(seed, seed + draws):
         with np.load(out / f"{name}-{k}.npz") as kept:
-            made = recording_of(arm, kept)
-            thin = thinned(made, by)
-            true = kept["true"][by - 1 :: by][: thin.samples]
-            phases = kept["phase"][by - 1 :: by][: thin.samples]
-        said = estimates(bundle, thin)
+            said = estimates(bundle, recording_of(arm, kept))
+            phases, true = kept["phase"], kept["true"]
         found.append((phases, said["tau_ext"], true, said["contact_sigma_nm"]))
     return tabulated(name, PHASES, arm.joints, found)
 
@@ -300,8 +276,8 @@ def tabulated(name: str, titles: Sequence[str], joints: Sequence[str], found: li
 
 def recording_of(arm: GearedArm, kept: np.lib.npyio.NpzFile) -> Recording:
     signals = {key: kept[key] for key in ("t_ns", "q", "dq", "tau")}
-    meta = {"rate_hz": float(arm.rate_hz), "torque_timing": "held", "source": f"sim {arm.name}", "robot_sha256": ""}
-    return Recording(name="drawn", joints=arm.joints, **signals, **meta)
+    return Recording("drawn", arm.joints, **signals, rate_hz=float(arm.rate_hz), torque_timing="held",
+                     source=f"sim {arm.name}", robot_sha256="")  # fmt: skip
 
 
 def table(rows: list[dict]) -> list[str]:

@@ -36,8 +36,8 @@ from tauext import _core
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.monitor.touch_place import STATED, PlaceChange, PlaceFinder, run_of
-from tauext.robot.capsules import body_capsules, link_capsules
-from tauext.robot.read import load_tree, placed_bodies
+from tauext.robot.capsules import link_capsules
+from tauext.robot.read import load_tree
 
 GIVEN, GUESSED, THIN, MESHES = "given", "guessed", "5 cm capsules", "meshes"
 Shapes = dict[str, list[_core.Capsule]]
@@ -201,13 +201,9 @@ TOUCHED = {"a4": 7, "a6": 7, "b8": 6, "b9": 6, "c3": 5, "d3": 4, "f2": 2, "f4": 
 def panda_rows(data: Path, bundles: Path, robot: Path | None) -> list[dict]:
     """One row a touch, estimate and kind of shapes."""
     arm = _core.Bundle.load(str(bundles / "observer.tauext"))
-    thin, joints = thin_capsules(arm), [link.joint_name for link in arm.links]
-    fingers = finger_boxes(data / "robot.urdf", joints)
-    shapes = {GIVEN: capsules_of(SURFACES["panda"]), GUESSED: [], THIN: thin}
-    boxed = {part.link for part in fingers}
-    shapes[f"{THIN} and fingers"] = [one for one in thin if one.link not in boxed] + fingers
+    shapes = {GIVEN: capsules_of(SURFACES["panda"]), GUESSED: [], THIN: thin_capsules(arm)}
     if robot is not None:
-        shapes[MESHES] = mesh_capsules(robot, joints)
+        shapes[MESHES] = mesh_capsules(robot, [link.joint_name for link in arm.links])
     recordings = {name: load_recording(data / f"{name}.parquet") for name in TOUCHED}
     ours = {name: estimates(arm, one)["tau_ext"] for name, one in recordings.items()}
     own = {name: one.tau_ext for name, one in recordings.items() if one.tau_ext is not None}
@@ -242,16 +238,6 @@ def located(
     return list(model.find(one.q[rows][at].tolist(), tau[at].tolist(), sigma.tolist(), places=False).probability)
 
 
-def finger_boxes(robot: Path, joints: list[str]) -> list[_core.Capsule]:
-    """What a robot file without its meshes still has: of the Panda's, boxes of the two fingers."""
-    bodies, found = body_capsules(robot).bodies, []
-    for body in placed_bodies(robot, load_tree(robot, joints))[2]:
-        for start, end, radius in bodies.get(body.name, []):
-            ends = [(body.translation + body.rotation @ np.array(one)).tolist() for one in (start, end)]
-            found.append(_core.Capsule(body.link, *ends, radius))
-    return found
-
-
 def touches_of(recording: Recording) -> list[slice]:
     """Rows of each labelled touch; labels begin up to 0.1 s before a touch shows."""
     late = round(0.1 * recording.rate_hz)
@@ -264,9 +250,6 @@ def free_rows(recording: Recording) -> np.ndarray:
     near = np.convolve(np.asarray(recording.contact) > 0, np.ones(2 * reach + 1), "same") > 0
     near[: 2 * reach] = True  # the observer begins
     return ~near
-
-
-# --- Tables.
 
 
 COLUMNS = "touches | alarms | right | among two | stated | of these right | link or run | of these right"

@@ -120,9 +120,6 @@ def correct(folder: Path, maker: Maker, seed: int) -> dict:
     }
 
 
-# --- Tables.
-
-
 TITLES = {
     "true": "true constants",
     "off": "off by up to 10 %, as trained",

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -104,11 +104,11 @@ def twin(weights: dict[str, np.ndarray], q: np.ndarray, dq: np.ndarray, ends: np
 class Tested:
     """Errors outside collisions (rows, 2), collisions found, delays, and false alarms; summed over segments."""
 
-    errors: list[np.ndarray]
-    early: list[np.ndarray]
+    errors: list[np.ndarray] = field(default_factory=list)
+    early: list[np.ndarray] = field(default_factory=list)
     """Errors of the authors' early network on the same rows."""
-    delays_s: list[float]
-    peaks_nm: list[np.ndarray]
+    delays_s: list[float] = field(default_factory=list)
+    peaks_nm: list[np.ndarray] = field(default_factory=list)
     """Largest |tau_ext| of each collision, a joint."""
     collisions: int = 0
     false_alarms: int = 0
@@ -131,10 +131,6 @@ class Tested:
             self.peaks_nm.append(np.abs(found["tau_ext"][inside & healthy]).max(axis=0, initial=0.0))
 
 
-def new_test() -> Tested:
-    return Tested([], [], [], [])
-
-
 def write_dataset(segments: list[Segment], folder: Path) -> Dataset:
     folder.mkdir(parents=True, exist_ok=True)
     tree = nominal_tree(folder / "robot.xml")
@@ -153,7 +149,7 @@ def held_out(
     segments: list[Segment], dataset: Dataset, recipe: str, case: CaseName, gain_per_s: float | None, out: Path
 ) -> tuple[Tested, list[_core.Bundle]]:
     """The recipe on each segment, trained on the others."""
-    tested, bundles = new_test(), []
+    tested, bundles = Tested(), []
     for one, name in zip(segments, dataset.split.train, strict=True):
         others = tuple(other for other in dataset.split.train if other != name)
         fold = replace(dataset, split=Split(others, (), (name,)))
@@ -162,9 +158,6 @@ def held_out(
         tested.add(one, estimates(bundle, fold.recordings("test")[0]))
         bundles.append(bundle)
     return tested, bundles
-
-
-# --- Tables.
 
 
 def share(found: int, of: int) -> str:
@@ -192,7 +185,7 @@ def authors_section(segments: list[Segment], dataset: Dataset, data: Path, out: 
     np.savez(file, **weights, input_scale=INPUT_SCALE, output_scale_nm=OUTPUT_SCALE_NM)
     config = settings("paper", AUTHORS_GAIN_PER_S, limits="paper")
     bundle = train_bundle(dataset, out / "authors.tauext", "none", config=config, check=False, start=load_network(file))
-    tested, difference, windows = new_test(), 0.0, 0
+    tested, difference, windows = Tested(), 0.0, 0
     for one, made in zip(segments, dataset.recordings("train"), strict=True):
         found = estimates(bundle, made)
         tested.add(one, found)

@@ -2,10 +2,10 @@
 
     python packages/lab/benchmarks/paper_seeds.py OUT [--cases exact none] [--seeds 0 1 2] [--max-steps N]
 
-OUT/data is the dataset of `tauext reproduce --scale full`. A bundle that OUT/bundles holds is not trained again, and
-one that is not there with --no-training is left out. What was measured is kept in docs/results/full/seeds.json, so that
-pages can be made from bundles of several machines. Errors are those of test motion at 100 Hz, as in the paper, and at
-1 kHz, as a monitor answers. A collision counts by one sample over the limit, since the paper states no hold time.
+OUT/data is the dataset of `tauext reproduce --scale full`. A bundle that OUT/bundles holds is not trained again. What
+was measured is kept in docs/results/full/seeds.json, so that pages can be made from bundles of several machines. Errors
+are those of test motion at 100 Hz, as in the paper, and at 1 kHz, as a monitor answers. A collision counts by a sample
+over the limit, since the paper states no hold time.
 """
 
 from __future__ import annotations
@@ -120,7 +120,6 @@ def main() -> None:
     parser.add_argument("--cases", nargs="+", default=list(PAPER_CASES))
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument("--max-steps", type=int, default=None, help="steps of a training; default: 500 epochs")
-    parser.add_argument("--no-training", action="store_true", help="only bundles that are there")
     options = parser.parse_args()
     out: Path = options.out
     data, bundles = out / "data", {}
@@ -130,8 +129,6 @@ def main() -> None:
         for seed in options.seeds:
             bundle = out / "bundles" / f"{case}-{seed}.tauext"
             if not bundle.exists():
-                if options.no_training:
-                    continue
                 words = ["--recipe", "paper", "--case", case, "--seed", seed]
                 words += [] if options.max_steps is None else ["--max-steps", options.max_steps]
                 tauext("train", "--data", data, *words, "--out", bundle, printed=out / f"{case}-{seed}.log")

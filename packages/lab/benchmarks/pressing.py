@@ -41,7 +41,6 @@ from unseen.presses import (
     draw_session,
     free_recording,
     rig_presser,
-    servo_presser,
     signals_of,
 )  # fmt: skip
 
@@ -60,8 +59,6 @@ from tauext.train.promised_limits import remove_checkpoint
 ARMS = ("rig", "seven_axis", "ur5")
 """On which the method was developed."""
 SESSION_MIN = 10.0
-ELASTIC_SHARE = 0.7
-"""Of arms NAME-elastic, whose resting friction does not fade under vibrations."""
 CALIBRATION_H = 24.0
 STREAMS = {"train": 1, "calibration": 2, "hits": 3, "hours": 4}
 """Of the draws."""
@@ -73,14 +70,12 @@ def presser_of(name: str, models: Path, out: Path) -> Presser:
     """The arm of this name."""
     if name == "rig":
         return rig_presser(out / "rig")
-    if name == "so101":
-        return servo_presser()
-    known, (name, _, gears) = makers(models) | fresh_makers(), name.partition("-")
-    if name not in known or gears not in ("", "elastic"):
-        sys.exit(f"--arms {name}: must be rig, so101, or of {', '.join(known)}, with -elastic behind it or not")
+    known = makers(models) | fresh_makers()
+    if name not in known:
+        sys.exit(f"--arms {name}: must be rig or of {', '.join(known)}")
     if not known[name].model.is_file():
         sys.exit(f"{known[name].model}: there is no such file; MODELS is the folder of the arms' URDFs")
-    return current_presser(known[name], elastic_share=ELASTIC_SHARE if gears else 0.0)
+    return current_presser(known[name])
 
 
 # --- A bundle from free motion: twenty minutes to learn, hours for the limits.
@@ -108,8 +103,6 @@ def bundle_of(presser: Presser, folder: Path, hours: float = CALIBRATION_H) -> _
             save_recording(recording, folder / f"{recording.name}.parquet")
         save_split(Split(tuple(sorted(one.name for one in folder.glob("train-*.parquet"))), (), ()), folder)
         bundle, started = load_bundle(trained(folder, folder / "trained.tauext")), time.monotonic()
-        if bundle.servo.on:  # recordings of servos go through import: its limits are those of the training's minutes
-            return bundle
         loaders = sessions_in_air(presser, "calibration", round(60 * hours / SESSION_MIN))
         motion = LimitMotion("promised", AlarmConfig(), 1, calibration=loaders, out=promised)
         limits = LIMITS["promised"](bundle, motion)
@@ -290,9 +283,6 @@ def hours_of(presser: Presser, bundle: _core.Bundle, folder: Path, hours: float,
 def alarms_in(rows: dict) -> int:
     """Alarms of a session that no hit caused."""
     return sum(one["false"] for one in rows["presses"]) + rows["session"][0]["between"]
-
-
-# --- Tables.
 
 
 def among(rows: Sequence[dict], **wanted: Any) -> list[dict]:

@@ -23,7 +23,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 
-from common import arguments, error_cells, estimates, head, joined, runs, table_row
+from common import COLLISION, arguments, error_cells, estimates, head, joined, table_row
+from mocca import Tested
 from mocca_recording import RATE_HZ, RECORDED_GAIN_PER_S, Segment, nominal_tree, read_segments, recording
 from scipy.optimize import least_squares
 from tauext_lab.sim.config import PAPER_FRICTION, RigConfig
@@ -31,7 +32,6 @@ from tauext_lab.sim.rig import low_pass
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
-from tauext.bundle.estimates import OK
 
 SETTLED_S = 0.8
 STRIBECK_RAD_S = 0.05
@@ -47,8 +47,6 @@ START = np.array([2.0, 0.5, 0.0, 0.0, 4.0, 0.0, 3.0, 0.15, 4.8, 3.0, 0.0, 4.0, 0
 STEP = np.array([1.0, 1.0, 0.3, 0.3, *[1.0, 1.0, 1.0, 0.05, 0.3] * 2])
 LOW = np.array([-20, -20, -3, -3, *[0, -3, 0, 0, 3.0] * 2])
 HIGH = np.array([20, 20, 3, 3, *[30, 20, 30, 0.6, 5.5] * 2])
-POSE_HARMONICS = (1, 2)
-"""Friction may also depend on the joint's own angle: these harmonics are fitted to what is left."""
 
 
 def friction_nm(segment: Segment, joint: int, parameters: np.ndarray, load_nm: np.ndarray) -> np.ndarray:
@@ -100,61 +98,7 @@ def jackknife(segments: list[Segment], best: np.ndarray) -> tuple[np.ndarray, np
     return np.asarray(np.sqrt((len(segments) - 1) * np.var(left_out, axis=0))), unseen
 
 
-def pose_amplitudes(segments: list[Segment], best: np.ndarray) -> list[tuple[int, int, float, float]]:
-    """(joint, harmonic, amplitude of sign(dq) times sines and cosines of its angle, standard error), [N m]."""
-    found = []
-    for joint in range(2):
-        for harmonic in POSE_HARMONICS:
-            rows = []
-            for one in segments:
-                sign = np.tanh(one.dq[:, joint] / NEAR_STICTION_RAD_S)[:, None]
-                angle = harmonic * one.q[:, joint]
-                waves = low_pass(sign * np.column_stack([np.sin(angle), np.cos(angle)]), RECORDED_GAIN_PER_S, 0.01)
-                left = (-one.residual - predicted_nm(one, best))[used(one), joint]
-                rows.append((waves[used(one)], left))
-
-            def amplitude(rows: list[tuple[np.ndarray, np.ndarray]]) -> float:
-                waves, left = (np.concatenate(column) for column in zip(*rows, strict=True))
-                return float(np.hypot(*np.linalg.lstsq(waves, left, rcond=None)[0]))
-
-            out = np.array([amplitude(rows[:k] + rows[k + 1 :]) for k in range(len(rows))])
-            found.append((joint, harmonic, amplitude(rows), float(np.sqrt((len(out) - 1) * out.var()))))
-    return found
-
-
-def noise(values: list[np.ndarray]) -> float:
-    """Standard deviation of white noise, from second differences; the median is blind to what few of them hold."""
-    second = np.concatenate([one[1:-1] - 0.5 * (one[2:] + one[:-2]) for one in values if len(one) > 2])
-    return float(1.4826 * np.median(np.abs(second)) / np.sqrt(1.5))
-
-
-def signal_rows(segments: list[Segment]) -> list[str]:
-    """Noise and speeds of the recording, which the rig's sensors and motion are chosen by."""
-    a, lines = np.exp(-RECORDED_GAIN_PER_S / RATE_HZ), []
-    for joint in range(2):
-        moving, still, torque = [], [], []
-        for one in segments:
-            speed = np.abs(one.dq[:, joint])
-            step_torque = (one.residual[1:, joint] - a * one.residual[:-1, joint]) / (1 - a)
-            moving.append(one.dq[speed > 0.05, joint])
-            still.append(one.dq[speed < 0.005, joint])
-            torque.append(step_torque[speed[1:] < 0.005])
-        peak = max(np.abs(one.dq[~one.near_contact, joint]).max() for one in segments)
-        lines += [
-            table_row(f"noise of dq moving, joint {joint + 1}, mrad/s", f"{1e3 * noise(moving):.1f}"),
-            table_row(f"noise of dq at rest, joint {joint + 1}, mrad/s", f"{1e3 * noise(still):.2f}"),
-            table_row(f"noise of the torque of 10 ms at rest, joint {joint + 1}, N m", f"{noise(torque):.2f}"),
-            table_row(f"largest speed, joint {joint + 1}, rad/s", f"{peak:.2f}"),
-        ]
-    return lines
-
-
 # --- The test of the rig: networks trained on it alone.
-
-
-AFTER_S = 0.5
-"""A collision is found from its onset, 0.1 s early since that was read off by eye, to so long after it."""
-APART_S = 0.5
 
 
 def at_recorded_rate(path: Path, segments: list[Segment], tree: _core.Tree) -> _core.Bundle:
@@ -175,30 +119,16 @@ def at_recorded_rate(path: Path, segments: list[Segment], tree: _core.Tree) -> _
 def judged(bundle: _core.Bundle, segments: list[Segment], tree: _core.Tree) -> list[str]:
     """Cells: seconds, L1, L2, largest error; collisions found and false alarms at the bundle's limits; collisions whose
     estimate is larger than any error outside them."""
-    free, peaks, found, false = [], [], 0, 0
+    tested = Tested()
     for segment in segments:
-        one = recording(segment, tree)
-        found_here = estimates(bundle, one)
-        healthy, size = found_here["health"] == OK, np.abs(found_here["tau_ext"])
-        over = healthy & (size > found_here["limit_nm"]).any(axis=1)
-        away = healthy & ~segment.near_contact
-        free.append(size[away])
-        edges = runs(over & away)
-        false += sum(k == 0 or begin - edges[k - 1][1] > APART_S * RATE_HZ for k, (begin, _) in enumerate(edges))
-        for onset_s in segment.onsets_s:
-            window = healthy & (np.abs(segment.time_s - onset_s - AFTER_S / 2 + 0.05) <= AFTER_S / 2 + 0.05)
-            found += bool(over[window].any())
-            peaks.append(size[window].max(axis=0))
-    errors = np.concatenate(free)
-    largest = errors.max(axis=0)
-    return [
-        f"{len(errors) / RATE_HZ:.0f}",
-        *error_cells(errors),
-        joined(bundle.sliding_limit_nm, ".1f", "/"),
-        f"{found} of {len(peaks)}",
-        str(false),
-        f"{sum((peak > largest).any() for peak in peaks)} of {len(peaks)}",
-    ]
+        found = estimates(bundle, recording(segment, tree))
+        over = (np.abs(found["tau_ext"]) > found["limit_nm"]).any(axis=1)  # by one sample, as the paper counts
+        tested.add(segment, found | {"held_alarm": np.where(over, COLLISION, 0)})
+    errors = np.concatenate(tested.errors)
+    above = sum((peak > errors.max(axis=0)).any() for peak in tested.peaks_nm)
+    counts = f"{len(tested.delays_s)} of {tested.collisions}", tested.false_alarms, f"{above} of {tested.collisions}"
+    limits = joined(bundle.sliding_limit_nm, ".1f", "/")
+    return [f"{len(errors) / RATE_HZ:.0f}", *error_cells(errors), limits, *map(str, counts)]
 
 
 def main() -> None:
@@ -244,11 +174,6 @@ def main() -> None:
             print(table_row(joint + 1, rows, f"{e.mean():.3f}", f"{np.sqrt((e**2).mean()):.3f}", f"{e.max():.2f}"))
         e = np.abs(unseen[:, joint])
         print(table_row(joint + 1, "left out", f"{e.mean():.3f}", f"{np.sqrt((e**2).mean()):.3f}", f"{e.max():.2f}"))
-    print("\n" + "\n".join(head("friction over the joint's own angle, beyond the load | N m | standard error")))
-    for joint, harmonic, amplitude, error in pose_amplitudes(segments, best):
-        print(table_row(f"joint {joint + 1}, {harmonic} a turn", f"{amplitude:.2f}", f"{error:.2f}"))
-    print("\n" + "\n".join(head("signal | recording")))
-    print("\n".join(signal_rows(segments)))
 
 
 if __name__ == "__main__":

@@ -32,16 +32,10 @@ FREE_MINUTES = 6.0
 ARM = """[robot]
 model = "robot.xml"
 joints = ["joint1", "joint2"]
-[signals.q]
-columns = "q_{number}"
-unit = "rad"
-[signals.dq]
-columns = "dq_{number}"
-unit = "rad/s"
-[signals.tau]
-columns = "tau_{number}"
-unit = "Nm"
-timing = "instant"
+[signals]
+q = {columns = "q_{number}", unit = "rad"}
+dq = {columns = "dq_{number}", unit = "rad/s"}
+tau = {columns = "tau_{number}", unit = "Nm", timing = "instant"}
 [time]
 column = "t"
 unit = "s"

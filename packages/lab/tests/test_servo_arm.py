@@ -147,8 +147,6 @@ def test_what_the_bus_says_is_whole_registers_and_can_be_imported(tmp_path):
     for source in ("duty", "supply-current", "goal"):
         arm = parse_arm(description(MAKER, [take], source, True))
         assert arm.servo is not None and arm.servo.torque_from == source
-    linear = parse_arm(description(MAKER, [take], "linear", False, [1.0] * 5))
-    assert linear.servo is None and linear.signals["tau"].torque_constant == (1.0,) * 5
 
 
 def test_servos_differ_and_rates_share_the_motion(tmp_path):

@@ -289,9 +289,6 @@ def guard_rows(out: Path, data: Path, seeds: Sequence[int]) -> list[str]:
     return rows
 
 
-# --- Tables.
-
-
 def in_ms(delays_s: list[float]) -> str:
     """Median and largest."""
     return f"{1000 * np.median(delays_s):.0f} ({1000 * max(delays_s):.0f})" if delays_s else "–"

@@ -34,7 +34,7 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 
 RATES_HZ = (50, 30, 100)
-SOURCES = ("duty", "supply-current", "goal", "linear")
+SOURCES = ("duty", "supply-current", "goal")
 TEN_MINUTES = tuple(Take(f"train-{k}", "train", 5) for k in (1, 2))
 TESTS = tuple(Take(f"free-{k}", "test", 10) for k in range(1, 5))
 TOUCHED = tuple(Take(f"touched-{k}", "collisions", 10, 60) for k in range(1, 4))
@@ -86,9 +86,9 @@ def trials(rates: Sequence[int]) -> list[Trial]:
         *(Trial(first, source) for source in SOURCES),
         *(Trial(first, "duty", recipe=recipe) for recipe in ("friction", "observer")),
         *(Trial(first, source, model=False) for source in ("duty", "goal")),
-        *(Trial(first, source, constant=True) for source in SOURCES[:-1]),
+        *(Trial(first, source, constant=True) for source in SOURCES),
         Trial(first, "duty", hour=True),
-        *(Trial(rate, source) for rate in rates[1:] for source in SOURCES[:-1]),
+        *(Trial(rate, source) for rate in rates[1:] for source in SOURCES),
     ]
 
 
@@ -97,9 +97,8 @@ def make(out: Path, trial: Trial) -> Path:
     data, raw = out / trial.data, out / f"{trial.rate_hz}hz"
     if not (data / "split.json").exists():
         takes = TEN_MINUTES + (HOUR if trial.hour else ()) + tested(trial.rate_hz)
-        linear = linear_law(raw).round(4).tolist() if trial.source == "linear" else ()
         arm = data.with_suffix(".toml")
-        arm.write_text(description(so101(), takes, trial.source, trial.model, linear))
+        arm.write_text(description(so101(), takes, trial.source, trial.model))
         files = [raw / f"{take.name}.parquet" for take in takes]
         tauext("import", "--source", *files, "--arm", arm, "--out", data, printed=data.with_suffix(".import.txt"))
     bundle = out / trial.bundle
@@ -140,7 +139,7 @@ def torque_tables(out: Path, rates: Sequence[int]) -> list[str]:
     for rate in rates:
         raw = out / f"{rate}hz"
         ways = {"linear law": {t.name: linear_law(raw) * signed_current(raw, t.name) for t in tested(rate)}}
-        for source in SOURCES[:-1]:
+        for source in SOURCES:
             trial = Trial(rate, source)
             if (out / trial.bundle).exists():
                 ways[f"{source}, the type's constants"] = {one.name: one.tau for one in tests_of(out / trial.data)}

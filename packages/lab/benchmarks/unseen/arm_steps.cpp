@@ -9,7 +9,7 @@ namespace {
 
 // Rows of the table of joints: simulation.py's joint_table, in its order.
 enum { kInertia, kMost, kCoulomb, kAsymmetry, kStaticShare, kStribeck, kStiffness, kDamping, kViscous, kLoadShare,
-       kWarmDrop, kRipple, kCycles, kPhase, kElastic, kIntegral };
+       kWarmDrop, kRipple, kCycles, kPhase, kIntegral };
 // Values of a contact: simulation.py's contact_row.
 enum { kFrom, kTo, kFirst, kBody, kPoint, kDirection = kPoint + 3, kPeak = kDirection + 3, kRise, kInLink, kContactValues };
 
@@ -59,9 +59,7 @@ extern "C" void arm_steps(const mjModel* m, mjData* d, const double* joints, dou
       const double slow = v / of(kStribeck);
       const double g = sliding * (1 + (of(kStaticShare) - 1) * std::exp(-slow * slow));
       const double steady = g * direction / of(kStiffness);
-      double moved = (steady - bristle[j]) * -std::expm1(-of(kStiffness) * std::fabs(v) * dt / g);
-      // Elasto-plastic: bristles that are bent little, or back, do not slip, so that no vibration straightens them.
-      if (of(kElastic) > 0 && bristle[j] * direction < of(kElastic) * std::fabs(steady)) moved = v * dt;
+      const double moved = (steady - bristle[j]) * -std::expm1(-of(kStiffness) * std::fabs(v) * dt / g);
       bristle[j] += moved;
       const double bent = v / kViscousBend, viscous = warm * of(kViscous) * v / std::sqrt(1 + bent * bent);
       const double ripple = of(kRipple) * std::sin(of(kCycles) * q + of(kPhase));

@@ -78,9 +78,6 @@ class TrueArm:
     current_filter_s: float
     current_step_a: float
     current_noise_a: float
-    elastic_share: float = 0.0
-    """Bend of the bristles below which they do not slip, of that at which the joint slides [Dupont et al. 2002].
-    0: they always slip a little (LuGre), and vibrations of a resting joint take its friction away."""
     integral_per_s: float = 8.0
     """Of the drives' speed loop."""
 
@@ -181,18 +178,11 @@ def with_ball(
     return mass_kg + ball_kg, both, inertia
 
 
-def link_with_ball(
-    link: _core.Link, ball_kg: float, at_m: np.ndarray, radius_m: float
-) -> tuple[float, np.ndarray, np.ndarray]:
-    """The same of a link."""
-    xx, yy, zz, xy, xz, yz = link.inertia
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return with_ball(link.mass, np.array(link.com), inertia, ball_kg, at_m, radius_m)
-
-
 def add_ball(link: _core.Link, ball_kg: float, at_m: np.ndarray, radius_m: float) -> None:
     """Fix a ball to a link."""
-    link.mass, com, inertia = link_with_ball(link, ball_kg, at_m, radius_m)
+    xx, yy, zz, xy, xz, yz = link.inertia
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    link.mass, com, inertia = with_ball(link.mass, np.array(link.com), inertia, ball_kg, at_m, radius_m)
     link.com, link.inertia = com.tolist(), [float(inertia[k]) for k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
 
 

@@ -12,7 +12,6 @@ from tauext_lab.sim.arms import rig_arm
 from tauext_lab.sim.config import RigConfig
 from tauext_lab.sim.contacts import log_uniform
 from tauext_lab.sim.rig import arm_xml, low_pass
-from tauext_lab.sim.source import servo_facts_of_so101
 
 from tauext import _core
 from tauext.data.recording import Recording
@@ -20,12 +19,9 @@ from tauext.monitor.source import SourceFacts, SourceSettings
 from tauext.robot.read import load_tree
 from unseen.arms import Maker, TrueArm, arm_of, direction
 from unseen.recordings import logged, told_constants
-from unseen.servos import LAST_LINK_M, Touch, servo_arm, simulate_servos, so101
-from unseen.servos import LINK_RADIUS_M as SERVO_LINK_RADIUS_M
 from unseen.simulation import (
     LINK_RADIUS_M,
     RATE_HZ,
-    RISES_S,
     Contact,
     Kinematics,
     Pressing,
@@ -34,7 +30,7 @@ from unseen.simulation import (
     reach_of,
     simulate,
 )  # fmt: skip
-from unseen.working import recording_of, servo_signals
+from unseen.working import recording_of
 
 # --- The arms, each with a tool at the end of its last link.
 
@@ -109,9 +105,9 @@ def torque_facts(maker: Maker, known: bool = True) -> SourceFacts:
     return SourceFacts(SourceSettings(maker.joints, period_ns, (unit,) * len(maker.joints), "held"), kind, False)
 
 
-def current_presser(maker: Maker, elastic_share: float = 0.0) -> Presser:
+def current_presser(maker: Maker) -> Presser:
     """An arm of unseen.arms: a wrong URDF and motor currents."""
-    arm, constants = replace(arm_of(maker, 0), elastic_share=elastic_share), told_constants(maker, 0, True)
+    arm, constants = arm_of(maker, 0), told_constants(maker, 0, True)
 
     def point(link: int, share: float) -> np.ndarray:
         return reach_of(arm.tree, link, share) + [LINK_RADIUS_M, 0, 0]
@@ -184,38 +180,6 @@ def rig_maker(folder: Path) -> Maker:
     return Maker(
         "rig", folder / "in.xml", joints, 1000, (-np.pi,) * 2, (np.pi,) * 2, (1.6, 1.6), (200.0, 100.0),
         two, two, two, (1.0, 1.0), 17, True, True,
-    )  # fmt: skip
-
-
-def servo_presser() -> Presser:
-    """The simulated SO-101: torques from duty and voltage at 50 Hz."""
-    maker, facts = so101(), servo_facts_of_so101()
-    arm, settings = servo_arm(maker, 0), facts.settings
-
-    def point(link: int, share: float) -> np.ndarray:
-        further = [one.translation for one in arm.tree.links if one.parent == link]
-        return share * np.array(further[0] if further else (0, 0, LAST_LINK_M)) + [SERVO_LINK_RADIUS_M, 0, 0]
-
-    def record(session: Session, surface: Pressing | None, rng: np.random.Generator) -> Signals:
-        at = np.arange(0, session.samples, RATE_HZ // maker.rate_hz)
-        run = simulate_servos(
-            arm, session.setpoints[0][at], maker.rate_hz, [touch(hit, session) for hit in session.hits], surface
-        )
-        t_ns = np.arange(len(at), dtype=np.int64) * settings.period_ns
-        return Signals(t_ns, servo_signals(settings, run, rng), run.signals["tau_ext"], run.tool_n)
-
-    def touch(hit: Contact, session: Session) -> Touch:
-        assert hit.at_m is not None
-        q = session.setpoints[0][round(hit.start_s * RATE_HZ)]
-        jacobian = Kinematics(arm.tree).jacobian(hit.link, np.array(hit.at_m), q)
-        peak_nm = hit.peak_n * float(np.abs(hit.direction @ jacobian).max())
-        shape = "impact" if hit.kind == "impact" else "push"
-        return Touch(shape, hit.start_s, hit.end_s, hit.link, hit.at_m, hit.direction, peak_nm, RISES_S["hold"])
-
-    axis, tip = (0.0, 0.0, -1.0), (0.0, 0.0, LAST_LINK_M)
-    return Presser(
-        maker, arm.tree, arm.servos.coulomb_nm, facts, record, axis, tip, point,
-        forces_n=(2.0, 5.0, 10.0), hits_n=(0.3, 40.0),
     )  # fmt: skip
 
 

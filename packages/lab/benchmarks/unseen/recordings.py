@@ -67,12 +67,7 @@ def write_take(maker: Maker, seed: int, number: int, folder: Path, takes: Sequen
     peaks = [peak_nm(run.tau_ext, c) for c in contacts]
     truth = [asdict(c) | {"peak_nm": peak.tolist()} for c, peak in zip(contacts, peaks, strict=True)]
     (folder / f"{take.name}.truth.json").write_text(json.dumps(truth, indent=1) + "\n")
-    np.savez_compressed(
-        folder / f"{take.name}.truth.npz",
-        motor_nm=run.motor_nm[::8].astype(np.float32),
-        friction_nm=run.friction_nm[::8].astype(np.float32),
-        tau_ext=run.tau_ext[::8].astype(np.float32),
-    )
+    np.savez_compressed(folder / f"{take.name}.truth.npz", tau_ext=run.tau_ext[::8].astype(np.float32))
 
 
 def simulate_takes(maker: Maker, seed: int, raw: Path, takes: Sequence[Take], workers: int = 1) -> list[Path]:
@@ -129,7 +124,7 @@ def description(
         temperature: whether that of the motors is imported.
         constants: torque constants; None: off by up to 10 % or unknown.
     """
-    warm = '[signals.temperature]\ncolumns = "temperature_{joint}"\nunit = "degC"\n' if temperature else ""
+    warm = 'temperature = {columns = "temperature_{joint}", unit = "degC"}\n' if temperature else ""
     constants = told_constants(maker, seed, model) if constants is None else constants
     numbers = ", ".join(f'"{number}"' for number in range(1, len(maker.joints) + 1))
     return f"""\
@@ -141,18 +136,10 @@ names = [{numbers}]
 [time]
 column = "time"
 
-[signals.q]
-columns = "position_{{joint}}"
-unit = "rad"
-
-[signals.dq]
-columns = "{"velocity_{joint}" if maker.measured_velocity else ""}"
-unit = "rad/s"
-
-[signals.tau]
-columns = "current_{{joint}}"
-unit = "A"
-torque_constant = {json.dumps(constants)}
+[signals]
+q = {{columns = "position_{{joint}}", unit = "rad"}}
+dq = {{columns = "{"velocity_{joint}" if maker.measured_velocity else ""}", unit = "rad/s"}}
+tau = {{columns = "current_{{joint}}", unit = "A", torque_constant = {json.dumps(constants)}}}
 {warm}
 [contact]
 column = "touched"

@@ -23,9 +23,6 @@ constexpr int kSpeedTicks = 20;            // over which a servo takes its diffe
 constexpr double kSpeedCounts = 50;        // a second: the step of the speed's register
 constexpr double kWallNmS = 4.0;           // damping of a wall, N s/m
 constexpr double kMostN = 150;
-// Values of a press at a servo tick: simulation.py's Pressing.rows.
-enum { kNormal, kGrip, kAt, kPressValues = kAt + 3 };
-constexpr double kSlips = 0.02;  // m/s, from which friction at the tool is that of sliding
 
 double sign(double x) { return (x > 0) - (x < 0); }
 
@@ -44,20 +41,17 @@ double friction(const double* servos, int n, int j, double motor, double load, d
 
 // Degrees of freedom 2j and 2j + 1 are those of joint j: its gear, and its link in the backlash.
 // goals: (writes, n), each acting from its tick of goal_ticks on. samples are taken at sample_ticks, before that tick.
-// press: (servo ticks, kPressValues), or null: the last link is pressed along `axis`, in its own axes.
-// out_tool: force of the press, base axes, (samples, 3).
 // Returns how many samples were taken.
 extern "C" int servo_steps(const mjModel* shared, mjData* d, const double* servos, int n, double volts, double supply_ohm,
                            double count_rad, const double* goals, const int* goal_ticks, int writes, const double* touches,
-                           int touch_count, const double* press, const double* axis, const int* sample_ticks, int samples, double* out,
-                           double* out_volts, double* out_tool) {
+                           int touch_count, const int* sample_ticks, int samples, double* out, double* out_volts) {
   mjModel* m = const_cast<mjModel*>(shared);  // friction is the model's
   std::vector<double> follows(goals, goals + n), duty(n), supply(n), motor(n), load(n), pressed(n), external(n), jacobian(3 * m->nv);
   std::vector<double> counts(n), past(static_cast<std::size_t>(n) * kSpeedTicks);
   double at_servos = volts;
   const double* goal = goals;
   int next_goal = 0, next_sample = 0, touch = 0;
-  double direction[3], wall[3], scale = 0, tool[3] = {};
+  double direction[3], wall[3], scale = 0;
   bool touching = false;
   for (int j = 0; j < n; ++j) std::fill_n(&past[j * kSpeedTicks], kSpeedTicks, std::round(d->qpos[2 * j] / count_rad));
   for (int step = 0; next_sample < samples; ++step) {
@@ -90,7 +84,6 @@ extern "C" int servo_steps(const mjModel* shared, mjData* d, const double* servo
           row[kLoadNm] = load[j];
           row[kExternalNm] = external[j];
         }
-        mju_copy3(out_tool + 3 * static_cast<std::size_t>(next_sample), tool);
         out_volts[next_sample++] = at_servos;
       }
       for (int j = 0; j < n; ++j) past[j * kSpeedTicks + tick % kSpeedTicks] = counts[j];
@@ -143,21 +136,6 @@ extern "C" int servo_steps(const mjModel* shared, mjData* d, const double* servo
       }
       for (int j = 0; j < n; ++j)
         for (int a = 0; a < 3; ++a) external[j] += jacobian[a * m->nv + 2 * j] * direction[a] * force;
-    }
-    const double* pressed_at = press == nullptr ? nullptr : press + static_cast<std::size_t>(step / kStepsAServoTick) * kPressValues;
-    mju_zero3(tool);
-    if (pressed_at != nullptr && pressed_at[kNormal] > 0) {
-      double point[3], normal[3], speed[3];
-      mju_mulMatVec3(point, d->xmat + 9 * n, pressed_at + kAt);
-      mju_addTo3(point, d->xpos + 3 * n);
-      mju_mulMatVec3(normal, d->xmat + 9 * n, axis);
-      mj_jac(m, d, jacobian.data(), nullptr, point, n);
-      mju_mulMatVec(speed, jacobian.data(), d->qvel, 3, m->nv);
-      mju_addToScl3(speed, normal, -mju_dot3(speed, normal));  // along the surface
-      mju_scl3(tool, normal, pressed_at[kNormal]);
-      mju_addToScl3(tool, speed, -pressed_at[kGrip] * pressed_at[kNormal] / std::hypot(mju_norm3(speed), kSlips));
-      for (int j = 0; j < n; ++j)
-        for (int a = 0; a < 3; ++a) external[j] += jacobian[a * m->nv + 2 * j] * tool[a];
     }
     for (int j = 0; j < n; ++j) {
       d->qfrc_applied[2 * j] = motor[j] + external[j];

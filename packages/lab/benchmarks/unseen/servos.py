@@ -34,7 +34,7 @@ from tauext import _core
 from tauext.robot.read import load_tree
 from unseen.arms import Maker, direction, true_arm
 from unseen.recordings import Take, split_text
-from unseen.simulation import NUMBER, POINTER, WHOLE, Pressing, address, compiled, draw_motion
+from unseen.simulation import NUMBER, POINTER, WHOLE, address, compiled, draw_motion
 
 # --- A low-cost servo arm as its user meets it: a URDF that is roughly right, and servos of which each differs.
 
@@ -66,8 +66,8 @@ def servo_arm(maker: Maker, seed: int) -> ServoArm:
 
 SAMPLE = ("q", "dq", "goal", "duty", "supply_a", "speed", "motor_nm", "load_nm", "tau_ext")
 STEPS = (
-    POINTER, POINTER, POINTER, WHOLE, NUMBER, NUMBER, NUMBER, POINTER, POINTER, WHOLE, POINTER, WHOLE,
-    POINTER, POINTER, POINTER, WHOLE, POINTER, POINTER, POINTER,
+    POINTER, POINTER, POINTER, WHOLE, NUMBER, NUMBER, NUMBER, POINTER, POINTER, WHOLE, POINTER, WHOLE, POINTER, WHOLE,
+    POINTER, POINTER,
 )  # fmt: skip
 """Arguments of servo_steps()."""
 SHAPES = ("impact", "push", "wall")
@@ -102,19 +102,12 @@ class ServoRun:
     ticks: np.ndarray
     signals: dict[str, np.ndarray]
     volts: np.ndarray
-    tool_n: np.ndarray
-    """Force of what presses on the last link, in the base axes, (samples, 3), [N]."""
 
 
-def simulate_servos(
-    arm: ServoArm, goals: np.ndarray, rate_hz: float, touches: Sequence[Touch], pressing: Pressing | None = None
-) -> ServoRun:
+def simulate_servos(arm: ServoArm, goals: np.ndarray, rate_hz: float, touches: Sequence[Touch]) -> ServoRun:
     """The arm follows goals, (samples, joints), [rad], each written as the servos are read, at `rate_hz`.
 
     A goal is that of the register: whole counts. Samples are taken at the servos' ticks of 1 ms.
-
-    Args:
-        pressing: what presses on the last link beside the touches; None: nothing.
     """
     model = backlash_model(arm)
     data = mujoco.MjData(model)
@@ -124,19 +117,16 @@ def simulate_servos(
     samples, n = goals.shape
     ticks = np.round(np.arange(samples) * TICKS_HZ / rate_hz).astype(np.int32)
     acts = (ticks + COMMAND_TICKS).astype(np.int32)
-    out, volts, tool_n = np.zeros((samples, n, len(SAMPLE))), np.zeros(samples), np.zeros((samples, 3))
-    axis = None if pressing is None else np.ascontiguousarray(pressing.axis, dtype=float)
-    press = None if pressing is None else np.ascontiguousarray(pressing.rows)
+    out, volts = np.zeros((samples, n, len(SAMPLE))), np.zeros(samples)
     rows = np.array([touch.row() for touch in touches], dtype=np.float64)
     taken = compiled("servo_steps", STEPS, WHOLE)(
         model._address, data._address, address(table), n, arm.volts, arm.supply_ohm, COUNT_RAD,
         address(goals), address(acts), samples, address(rows), len(touches),
-        None if press is None else address(press), None if axis is None else address(axis),
-        address(ticks), samples, address(out), address(volts), address(tool_n),
+        address(ticks), samples, address(out), address(volts),
     )  # fmt: skip
     if taken != samples or not np.isfinite(out).all() or data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
         raise RuntimeError("the simulation diverged")
-    return ServoRun(ticks, {name: out[:, :, k].copy() for k, name in enumerate(SAMPLE)}, volts, tool_n)
+    return ServoRun(ticks, {name: out[:, :, k].copy() for k, name in enumerate(SAMPLE)}, volts)
 
 
 # --- What a bus reports of the arm: Parquet files of registers, arm.toml, and apart from them the truth.
@@ -217,23 +207,13 @@ def _registers(maker: Maker, run: ServoRun, touched: np.ndarray, rng: np.random.
     return pa.table(columns | {"touched": touched.astype(np.int8)})
 
 
-def description(maker: Maker, takes: Sequence[Take], source: str, model: bool, linear: Sequence[float] = ()) -> str:
-    """The text of arm.toml as the arm's user would write it.
-
-    Args:
-        source: of the torque, as [servo] names it; "linear": the signed current times a constant.
-        linear: that constant, [N m/A], one a joint.
-    """
-    torque = f'[servo]\ntype = "sts3215-7.4v"\ntorque_from = "{source}"\n'
-    if source == "linear":
-        torque = '[signals.tau]\ncolumns = "signed_{joint}"\nunit = "A"\n'
-        torque += f"torque_constant = {json.dumps(list(linear))}\n"
-    registers = {"supply-current": ("current", "duty"), "duty": ("duty", "voltage"), "goal": (), "linear": ()}
+def description(maker: Maker, takes: Sequence[Take], source: str, model: bool) -> str:
+    """The text of arm.toml as the arm's user would write it, with the torque from this source."""
+    registers = {"supply-current": ("current", "duty"), "duty": ("duty", "voltage"), "goal": ()}
     columns = {"current": "current", "duty": "load", "voltage": "voltage"}
     units = {"current": "A", "duty": "1", "voltage": "V"}
-    read = "".join(
-        f'[signals.{name}]\ncolumns = "{columns[name]}_{{joint}}"\nunit = "{units[name]}"\n'
-        for name in registers[source]
+    read = "\n".join(
+        f'{name} = {{columns = "{columns[name]}_{{joint}}", unit = "{units[name]}"}}' for name in registers[source]
     )
     return f"""\
 [robot]
@@ -244,20 +224,16 @@ rotor_inertia_kg_m2 = {json.dumps(list(maker.rotor_kg_m2))}
 [time]
 column = "time"
 
-[signals.q]
-columns = "position_{{joint}}"
-unit = "rad"
+[servo]
+type = "sts3215-7.4v"
+torque_from = "{source}"
 
-[signals.q_des]
-columns = "goal_{{joint}}"
-unit = "rad"
-
-[signals.tau_ext]
-columns = "tau_ext_{{joint}}"
-unit = "Nm"
-
-{torque}
+[signals]
+q = {{columns = "position_{{joint}}", unit = "rad"}}
+q_des = {{columns = "goal_{{joint}}", unit = "rad"}}
+tau_ext = {{columns = "tau_ext_{{joint}}", unit = "Nm"}}
 {read}
+
 [contact]
 column = "touched"
 

@@ -156,6 +156,7 @@ SHARES = {"impact": 0.45, "push": 0.35, "hold": 0.2}
 RANGES = {"impact": ((20, 150), (0.02, 0.1)), "push": ((10, 60), (0.5, 1.0)), "hold": ((10, 40), (2.0, 4.0))}
 """Peak force [N] and duration [s]."""
 RISES_S = {"impact": 0.0, "push": 0.15, "hold": 0.3}
+"""Of a ramp at both ends; 0: a half sine."""
 
 
 @dataclass(frozen=True)
@@ -176,15 +177,6 @@ class Contact:
     """Where on its link, in the link's axes; None: beside the line to the next joint, by `share`."""
     in_link: bool = False
     """The direction is along the link's axes as the touch begins, and then stays in the world."""
-
-    def force_n(self, t_s: float) -> float:
-        """A half sine of an impact; a push rises and falls over 0.15 s, a hold over 0.3 s."""
-        if not self.start_s <= t_s < self.end_s:
-            return 0.0
-        if self.kind == "impact":
-            return self.peak_n * float(np.sin(np.pi * (t_s - self.start_s) / (self.end_s - self.start_s)))
-        rise = RISES_S[self.kind]
-        return self.peak_n * min(1.0, (t_s - self.start_s) / rise, (self.end_s - t_s) / rise)
 
 
 def draw_contacts(count: int, length_s: float, links: int, rng: np.random.Generator) -> list[Contact]:
@@ -339,14 +331,13 @@ def simulate(
 
 
 def joint_table(arm: TrueArm, rotor: np.ndarray, inertia: np.ndarray, torque_nm: Sequence[float]) -> np.ndarray:
-    """Constants of the joints as arm_steps.cpp reads them, (16, joints)."""
+    """Constants of the joints as arm_steps.cpp reads them, (15, joints)."""
     stiffness = arm.static_share * arm.coulomb_nm / arm.presliding_rad
     damping = 2 * BRISTLE_DAMPING * np.sqrt(stiffness * rotor)
     rows = (
         inertia, np.array(torque_nm, dtype=float), arm.coulomb_nm, arm.asymmetry, arm.static_share, arm.stribeck_rad_s,
         stiffness, damping, arm.viscous_nm_s_rad, arm.load_share, arm.warm_drop, arm.ripple_nm, arm.ripple_cycles,
-        arm.ripple_phase_rad, np.full(len(rotor), arm.elastic_share),
-        np.full(len(rotor), arm.integral_per_s),
+        arm.ripple_phase_rad, np.full(len(rotor), arm.integral_per_s),
     )  # fmt: skip
     return np.array(rows, dtype=np.float64)
 

@@ -65,12 +65,9 @@ class Working:
     robot_text: str
     """Its content where it is made here; empty: the file exists."""
     loads_kg: tuple[float, float]
-    make: Callable[[int, int, Part, float, int], Recording]
-    """Makes a stretch from seed, number, part, time since the cold start [s] and number of touches."""
-
-    def stretch(self, seed: int, number: int, part: Part, warm_s: float, touches: int) -> Recording:
-        """STRETCH_S of motion from stamp 0 with true torque and true contacts."""
-        return self.make(seed, number, part, warm_s, touches)
+    stretch: Callable[[int, int, Part, float, int], Recording]
+    """Makes STRETCH_S of motion from stamp 0 with true torque and true contacts, from seed, number, part, time since
+    the cold start [s] and number of touches."""
 
 
 def program(seed: int, number: int) -> np.random.Generator:

@@ -53,7 +53,7 @@ test: build ## All tests, Python and C++, on every core (WORKERS=0: Python on on
 	$(FAST_TESTS)
 test-all: build ## The long part of .ci/run: every Python, wheels, slow tests, sanitizers, ... (PARTS="slow fuzz": these)
 	$(RUN) VENV=$(VENV) BUILD=$(BUILD) $(VENV)/bin/python tests/long_part.py $(PARTS)
-benches: build ## The C++ benchmarks
+benches: build ## The C++ benchmarks and the soak
 	$(RUN) cmake --build $(BUILD)/cpp --target benches
 lint: setup ## Style and types of the Python code
 	$(VENV)/bin/ruff check src tests benchmarks examples docs wheels packages
@@ -67,13 +67,11 @@ docs: setup $(VENV)/.docs ## The documentation site, with its links checked; no 
 	rm -rf $(BUILD)/docs docs/reference/made
 	$(VENV)/bin/python -m sphinx -n -W --keep-going -q -b html docs $(BUILD)/docs
 	$(VENV)/bin/python docs/check_site.py $(BUILD)/docs
-bench: benches ## Dynamics sweep and network, with ratios to what else one would use
+bench: setup ## Dynamics sweep, with ratios to Pinocchio and MuJoCo
 	$(VENV)/bin/python benchmarks/dynamics.py
-	$(BUILD)/cpp/tree_bench
-	$(BUILD)/cpp/lstm_bench
 bench-train: setup ## Training and evaluation against PyTorch, where it is installed
 	$(VENV)/bin/python benchmarks/train.py
-bench-monitor: benches ## The monitor in a control loop, beside ONNX Runtime and PyTorch where they are installed
+bench-monitor: benches ## The monitor in a control loop
 	$(VENV)/bin/python benchmarks/monitor.py --bench $(BUILD)/cpp/monitor_bench
 dist: ## The sdist and audited wheels for x86-64 and 64-bit Arm, in dist
 	$(PYTHON) wheels/make_dist.py

@@ -1,13 +1,14 @@
-"""The harness of the benchmarks: options, tauext's commands, workers, checkpoints, tables, and what a run is of."""
+"""The harness of all benchmarks: options, tauext's commands, workers, checkpoints, alarms, tables, what a run is of.
+
+Import it first: what the benchmarks of other packages and tests have made is found afterwards.
+"""
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import re
 import shlex
-import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -20,21 +21,29 @@ import numpy as np
 
 T = TypeVar("T")
 ROOT = Path(__file__).parent.parent
+SHARED = ROOT.parent / "shared" / "data"
 COLLISION = 2
-EPISODE_S = 0.5
-"""Alarms less than this apart count as one collision."""
+sys.path += [str(ROOT / "packages/lab/benchmarks"), str(ROOT / "tests")]
 
 # --- Options.
 
 
 def arguments(
-    doc: str | None, *paths: str, arms: Sequence[str] = (), seed: int | None = None, workers: int = 0
+    doc: str | None,
+    *paths: str,
+    arms: Sequence[str] = (),
+    seed: int | None = None,
+    workers: int = 0,
+    data: str | None = None,
+    loop: bool = False,
 ) -> argparse.ArgumentParser:
     """A parser described by a script's docstring.
 
     Args:
         paths: names of positional paths.
         arms, seed, workers: defaults of --arms, --seed and --workers; without one there is no such option.
+        data: folder of real recordings in the shared ones, default of --data.
+        loop: whether --core and --priority of a live loop are asked for.
     """
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name in paths:
@@ -45,6 +54,11 @@ def arguments(
         parser.add_argument("--seed", type=int, default=seed, help="of everything that is drawn, default: %(default)s")
     if workers:
         parser.add_argument("--workers", type=int, default=workers, help="processes, default: %(default)s")
+    if data is not None:
+        parser.add_argument("--data", type=Path, default=SHARED / data, help="of real recordings, default: %(default)s")
+    if loop:
+        parser.add_argument("--core", type=int, help="pin the loop and the thread that receives to this core")
+        parser.add_argument("--priority", type=int, help="SCHED_FIFO for both")
     return parser
 
 
@@ -55,12 +69,6 @@ def type_arguments(doc: str | None, arms: int, type_seed: int = 1) -> argparse.A
     parser.add_argument("--type-seed", type=int, default=type_seed, help="draws the type, default: %(default)s")
     parser.add_argument("--arms", type=int, default=arms, help="of the fleet, default: %(default)s")
     return parser
-
-
-def loop_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the loop's core and priority."""
-    parser.add_argument("--core", type=int, help="pin the loop and the thread that receives to this core")
-    parser.add_argument("--priority", type=int, help="SCHED_FIFO for both")
 
 
 # --- Commands, workers, checkpoints.
@@ -88,10 +96,12 @@ def tauext(
     return ended.stdout
 
 
-def trained(data: Path, bundle: Path, *words: object) -> Path:
-    """The bundle, trained on this dataset by recipe prior unless it exists."""
+def trained(data: Path, bundle: Path, *words: object, recipe: str = "prior") -> Path:
+    """The bundle, trained on this dataset by this recipe unless it exists."""
     if not bundle.exists():
-        tauext("train", "--data", data, "--recipe", "prior", "--out", bundle, *words)
+        bundle.parent.mkdir(parents=True, exist_ok=True)
+        printed = bundle.with_suffix(".train.txt")
+        tauext("train", "--data", data, "--recipe", recipe, "--out", bundle, *words, printed=printed)
     return bundle
 
 
@@ -124,6 +134,15 @@ def save_json(content: Any, path: Path) -> None:
         part.write_text(text + "\n")
 
 
+def short(value: Any) -> Any:
+    """The same content with numbers to four digits."""
+    if isinstance(value, dict):
+        return {name: short(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [short(one) for one in value]
+    return float(f"{value:.4g}") if isinstance(value, float) else value
+
+
 # --- Tables.
 
 
@@ -142,6 +161,12 @@ def joined(values: Iterable[float], form: str = ".2f", by: str = " · ") -> str:
     return by.join(format(value, form) for value in values)
 
 
+def error_cells(errors: np.ndarray) -> list[str]:
+    """Mean, root of the mean square and largest of absolute errors (rows, joints), in cells."""
+    return [joined(errors.mean(axis=0), ".2f", "/"), joined(rms(errors, 0), ".2f", "/"),
+            joined(errors.max(axis=0), ".1f", "/")]  # fmt: skip
+
+
 def quantiles_ms(delays_s: Sequence[float], shares: Sequence[float] = (0.5, 0.95)) -> str:
     """Quantiles of delays in ms; a dash of none."""
     return joined(1e3 * np.quantile(delays_s, shares), ".0f", ", ") if len(delays_s) else "–"
@@ -158,7 +183,8 @@ def share_interval(found: int, of: int) -> tuple[float, float]:
 
 def write_tables(out: Path, lines: Iterable[str], content: Any = None, name: str = "tables") -> None:
     """Write OUT/NAME.md, tables below the command and what it ran on, and print it; with content also OUT/NAME.json."""
-    words = shlex.join(["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]])
+    script = Path(sys.argv[0]).resolve()
+    words = shlex.join(["python", str(script.relative_to(ROOT) if ROOT in script.parents else script), *sys.argv[1:]])
     write_page(out / f"{name}.md", [f"    {words}", "", f"{about_run()}.", "", *lines])
     if content is not None:
         save_json(content, out / f"{name}.json")
@@ -203,25 +229,15 @@ def compiler_flags() -> str:
     return " ".join([_core.COMPILER, "C++20", *(f for f in chosen.split() if not f.startswith(("-W", "$<")))])
 
 
-def other_processes_s() -> tuple[float, float]:
-    """Processor time of all other processes since the system started, and time that the host kept; 0 where unknown."""
-    stat = Path("/proc/stat")
-    if not stat.exists():
-        return 0.0, 0.0
-    ticks = [int(value) for value in stat.read_text().split("\n")[0].split()[1:]]
-    here, second = os.times(), os.sysconf("SC_CLK_TCK")
-    own = here.user + here.system + here.children_user + here.children_system
-    return sum(ticks[:3]) / second - own, (ticks[7] if len(ticks) > 7 else 0) / second
-
-
-def free_port() -> int:
-    """A port of this computer that nothing listens on."""
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
-
-
 # --- Signals.
+
+
+def estimates(bundle: Any, recording: Any, threads: int = 1) -> dict[str, np.ndarray]:
+    """The core's answers of all samples by name."""
+    from tauext import _core
+
+    signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
+    return dict(_core.estimate(bundle, *signals, threads, recording.temperature))
 
 
 def runs(mask: np.ndarray) -> list[tuple[int, int]]:
@@ -230,10 +246,10 @@ def runs(mask: np.ndarray) -> list[tuple[int, int]]:
     return [(int(begin), int(end)) for begin, end in edges.reshape(-1, 2)]
 
 
-def collisions_begin(held_alarm: np.ndarray, t_ns: np.ndarray) -> np.ndarray:
-    """Stamps [ns] at which collisions began, those less than EPISODE_S apart counted as one."""
+def collisions_begin(held_alarm: np.ndarray, t_ns: np.ndarray, apart_s: float = 0.5) -> np.ndarray:
+    """Stamps [ns] at which collisions began, those less than so far apart counted as one."""
     at = t_ns[np.flatnonzero(held_alarm == COLLISION)]
-    return at[np.append(True, np.diff(at) >= EPISODE_S * 1e9)] if len(at) else at
+    return at[np.append(True, np.diff(at) >= apart_s * 1e9)] if len(at) else at
 
 
 def rms(values: np.ndarray, axis: int | None = None) -> np.ndarray:

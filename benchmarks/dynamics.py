@@ -2,20 +2,13 @@
 
     python benchmarks/dynamics.py [--states 2000] [--rounds 7]
 
-The sweep runs as shipped, through its batched call; Pinocchio and MuJoCo run as small C++ programs that are compiled
-here into a temporary folder (Pinocchio for this very processor, which makes it about twice as fast; that takes two
-minutes) and, since that needs their headers and Eigen's, from Python as well. Everything is measured in turns, and
-medians are given.
+The sweep runs as shipped, through its batched call; Pinocchio and MuJoCo are called from Python a state at a time, so
+their times contain the calls. Everything is measured in turns, and medians are given.
 """
 
 from __future__ import annotations
 
-import os
-import platform
-import shutil
 import statistics
-import subprocess
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -23,15 +16,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pinocchio as pin
-from common import arguments
+from common import about_run, arguments, head, table_row
 
-import tauext
-from tauext.files.provenance import machine
 from tauext.robot.read import load_tree
 
-HERE = Path(__file__).parent
-ARM = HERE / "seven_axis.urdf"
-BATCHES = 11
+ARM = Path(__file__).parent / "seven_axis.urdf"
 SHIFT_S = 1e-4
 """MuJoCo has no Coriolis matrix; dM/dt comes from momenta this long before and after."""
 
@@ -50,33 +39,31 @@ def main() -> None:
     scene = mujoco.MjModel.from_xml_path(str(ARM))
     scene.dof_armature[:] = model.armature
 
-    with tempfile.TemporaryDirectory() as folder:
-        ways: dict[str, Callable[[], tuple[float, np.ndarray]]] = {
-            "tauext sweep": lambda: timed(lambda: sweep(tree, q, dq), options.states),
-            **compiled_ways(Path(folder), model, scene, q, dq),
-            "Pinocchio from Python": lambda: timed(lambda: by_pinocchio(model, q, dq), options.states, 1),
-            "MuJoCo from Python": lambda: timed(lambda: by_mujoco(scene, q, dq), options.states, 1),
-        }
-        times: dict[str, list[float]] = {name: [] for name in ways}
-        answers: dict[str, np.ndarray] = {}
-        for _ in range(options.rounds):
-            for name, way in ways.items():
-                ns, answers[name] = way()
-                times[name].append(ns)
+    ways: dict[str, Callable[[], tuple[float, np.ndarray]]] = {
+        "tauext sweep": lambda: timed(lambda: np.stack(tree.momentum(q, dq)), options.states, 11),
+        "Pinocchio from Python": lambda: timed(lambda: by_pinocchio(model, q, dq), options.states),
+        "MuJoCo from Python": lambda: timed(lambda: by_mujoco(scene, q, dq), options.states),
+    }
+    times: dict[str, list[float]] = {name: [] for name in ways}
+    answers: dict[str, np.ndarray] = {}
+    for _ in range(options.rounds):
+        for name, way in ways.items():
+            ns, answers[name] = way()
+            times[name].append(ns)
 
-    print(f"{machine()}, Python {platform.python_version()}, NumPy {np.__version__}")
-    print(f"tauext {tauext.__version__}, Pinocchio {pin.__version__}, MuJoCo {mujoco.__version__}")
+    print(f"{about_run()}; Pinocchio {pin.__version__}, MuJoCo {mujoco.__version__}")
     print(f"{ARM.name}, {options.states} random states, median of {options.rounds} rounds in turns\n")
-    print(f"{'p and beta of one state':31}{'ns':>8}{'(min':>9}{'max)':>8}{'ratio':>8}   difference of p, beta")
+    print("\n".join(head("p and beta of one state | ns | min | max | ratio | difference of p | beta")))
     base, reference = statistics.median(times["tauext sweep"]), answers["Pinocchio from Python"]
     for name, ns in times.items():
         median = statistics.median(ns)
-        p, beta = (np.abs(a - b).max() / np.abs(b).max() for a, b in zip(answers[name], reference, strict=True))
-        print(f"{name:31}{median:8.0f}{min(ns):9.0f}{max(ns):8.0f}{median / base:8.1f}   {p:.1e}, {beta:.1e}")
+        off = (np.abs(a - b).max() / np.abs(b).max() for a, b in zip(answers[name], reference, strict=True))
+        numbers = f"{median:.0f}", f"{min(ns):.0f}", f"{max(ns):.0f}", f"{median / base:.1f}"
+        print(table_row(name, *numbers, *(f"{one:.1e}" for one in off)))
     print("\ndifference: largest, relative to the largest value of Pinocchio's from Python")
 
 
-def timed(work: Callable[[], np.ndarray], states: int, batches: int = BATCHES) -> tuple[float, np.ndarray]:
+def timed(work: Callable[[], np.ndarray], states: int, batches: int = 1) -> tuple[float, np.ndarray]:
     """Median time per state [ns] over batches, and the answer of the last."""
     ns = []
     for _ in range(batches):
@@ -84,10 +71,6 @@ def timed(work: Callable[[], np.ndarray], states: int, batches: int = BATCHES) -
         answer = work()
         ns.append((time.perf_counter_ns() - start) / states)
     return statistics.median(ns), answer
-
-
-def sweep(tree: tauext._core.Tree, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
-    return np.stack(tree.momentum(q, dq))
 
 
 def by_pinocchio(model: pin.Model, q: np.ndarray, dq: np.ndarray) -> np.ndarray:
@@ -115,42 +98,6 @@ def by_mujoco(scene: mujoco.MjModel, q: np.ndarray, dq: np.ndarray) -> np.ndarra
         mujoco.mj_rne(scene, data, 0, out[1, k])
         out[0, k], out[1, k] = p[2], out[1, k] - (p[1] - p[0]) / (2 * SHIFT_S)
     return out
-
-
-def compiled_ways(
-    folder: Path, model: pin.Model, scene: mujoco.MjModel, q: np.ndarray, dq: np.ndarray
-) -> dict[str, Callable[[], tuple[float, np.ndarray]]]:
-    """The C++ programs that could be compiled, each as a function of no argument."""
-    np.stack([q, dq]).tofile(folder / "states")
-    model.saveToText(str(folder / "arm.txt"))
-    mujoco.mj_saveModel(scene, str(folder / "arm.mjb"))
-    prefix = next(parent for parent in Path(pin.__file__).parents if parent.name == "cmeel.prefix")
-    library = Path(mujoco.__file__).parent
-    eigen = [f"-I{place / 'include/eigen3'}" for place in (prefix, Path("/usr"))]
-    limits = ["LIMIT_LIST_SIZE=30", "LIMIT_VECTOR_SIZE=30", "CFG_NO_PREPROCESSED_HEADERS"]
-    boost = [*(f"-DBOOST_MPL_{limit}" for limit in limits), "-DBOOST_FUSION_INVOKE_MAX_ARITY=12"]
-    link = [f"-L{prefix}/lib", f"-Wl,-rpath,{prefix}/lib", "-lpinocchio_default", "-lboost_serialization"]
-    mujoco_link = [str(next(library.glob("libmujoco.so*"), "")), f"-Wl,-rpath,{library}"]
-    native = ["-march=native", f"-I{prefix}/include", *eigen, *boost]
-    programs = {
-        "Pinocchio, C++, -march=native": ("pinocchio", "arm.txt", native, link),
-        "MuJoCo, C++": ("mujoco", "arm.mjb", [f"-I{library}/include"], mujoco_link),
-    }
-    compiler, ways = os.environ.get("CXX", "g++"), {}
-    for name, (stem, robot, flags, libraries) in programs.items():
-        source, program = HERE / f"{stem}_momentum.cpp", folder / stem
-        command = [compiler, "-std=c++20", "-O3", "-DNDEBUG", "-w", *flags, str(source), "-o", str(program), *libraries]
-        if not shutil.which(compiler) or subprocess.run(command, capture_output=True).returncode:
-            print(f"{name}: not measured, {source.name} does not compile here (Pinocchio needs Eigen: cmeel-eigen)")
-            continue
-        run = [str(program), robot, "states", f"{stem}.out", str(q.shape[1]), str(len(q)), str(BATCHES)]
-        ways[name] = lambda run=run: run_compiled(run, folder, q.shape)
-    return ways
-
-
-def run_compiled(command: list[str], folder: Path, shape: tuple[int, ...]) -> tuple[float, np.ndarray]:
-    printed = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True).stdout
-    return float(printed), np.fromfile(folder / command[3]).reshape(2, *shape)
 
 
 if __name__ == "__main__":

@@ -4,27 +4,23 @@
 
 Step: gradient and Adam for 1000 windows of 100 steps. The core gathers its windows from the rows within the measured
 time, and so does tauext's own PyTorch backend; plain torch.nn.LSTM and torch.optim.Adam have them ready. Evaluation:
-every window of ten minutes at 100 Hz, read from rows. Of PyTorch's ways (a step with the batch or time first; windows
-as a view or gathered, 1000 or 4000 at once) the fastest is shown. Everything runs in turns in one process. A turn
-begins with a pause, since PyTorch's threads spin for a while after their work, and with a run that is not counted.
-Without PyTorch only tauext is measured.
+every window of ten minutes at 100 Hz, read from rows. Everything runs in turns in one process. A turn begins with a
+pause, since PyTorch's threads spin for a while after their work, and with a run that is not counted. Without PyTorch
+only tauext is measured.
 """
 
 from __future__ import annotations
 
-import platform
 import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from common import arguments, compiler_flags, other_processes_s
+from common import about_run, arguments, compiler_flags, head, table_row
 
-import tauext
 from tauext import _core
 from tauext.errors import ConfigError
-from tauext.files.provenance import machine
 from tauext.fit.core_backend import Adam, CoreBackend
 from tauext.fit.training_set import Setup, WindowSet
 
@@ -36,8 +32,6 @@ except ConfigError as error:
     torch, why_not = None, str(error)
 
 STEPS, HIDDEN, BATCH = 100, 20, 1000
-LEARNING_RATE = 0.001
-PAUSE_S = 0.1
 CORE, BACKEND = "tauext", "tauext, backend torch"
 
 Way = Callable[[], object]
@@ -45,11 +39,10 @@ Way = Callable[[], object]
 
 @dataclass
 class Comparison:
-    """What is measured in turns; the ratio to PyTorch's fastest way is wanted to be at least this."""
+    """What is measured in turns."""
 
     name: str
     threads: int
-    wanted: float
     ways: dict[str, Way]
     accuracy: dict[str, tuple[float | None, float | None]]  # of outputs (absolute) and gradient (relative)
     runs: int  # in a turn
@@ -61,33 +54,17 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="two rounds and one minute of recording")
     options = parser.parse_args()
     rounds, windows = (2, 6_000) if options.quick else (options.rounds, 60_000)
-
-    print(f"{machine()}, Python {platform.python_version()}, NumPy {np.__version__}")
-    print(f"tauext {tauext.__version__}: {compiler_flags()}, instruction set chosen at run time")
-    if torch:
-        capability = torch.backends.cpu.get_cpu_capability()
-        print(f"PyTorch {torch.__version__} on the CPU: {capability}, oneDNN {torch.backends.mkldnn.is_available()}")
-        if torch.cuda.is_available():
-            print(f"{BACKEND} runs on {torch.cuda.get_device_name()}")
-    else:
-        print(f"PyTorch is not measured: {why_not}")
-    print(f"H = {HIDDEN}, {rounds} rounds in turns; ms: median (min max); ratio of medians\n")
-    print(f"{'':42}{'threads':>8}  {'way':31}{'ms':>8}{'(min':>9}{'max)':>9}{'ratio':>7}   outputs, gradient")
-
-    before_s, _ = other_processes_s()
-    for joints, wanted in ((2, (6.0, 7.0)), (7, (5.0, 5.0))):
-        for threads in (1, 2):
-            show(step_comparison(joints, threads, wanted[threads - 1]), rounds)
+    print(f"{about_run()}; {compiler_flags()}, instruction set chosen at run time")
+    print(f"PyTorch {torch.__version__} on the CPU" if torch else f"PyTorch is not measured: {why_not}")
+    print(f"H = {HIDDEN}, {rounds} rounds in turns; largest difference of outputs to double precision\n")
+    print("\n".join(head("task | threads | way | ms, median | min | max | ratio | outputs, gradient")))
     for threads in (1, 2):
-        show(evaluation_comparison(windows, threads, 4.0), rounds)
-    others = other_processes_s()[0] - before_s
-    print("\noutputs: largest difference to double precision; gradient: relative difference, likewise")
-    print(
-        f"other processes took {max(others, 0.0):.1f} s of processor time meanwhile (more than a few spoil the numbers)"
-    )
+        for joints in (2, 7):
+            show(step_comparison(joints, threads), rounds)
+        show(evaluation_comparison(windows, threads), rounds)
 
 
-def step_comparison(joints: int, threads: int, wanted: float) -> Comparison:
+def step_comparison(joints: int, threads: int) -> Comparison:
     """Gradient and Adam, from rows and window ends to new parameters."""
     setup, windows = made_windows(joints, 30_000)
     ends = np.random.default_rng(1).choice(windows.ends, BATCH, replace=False)
@@ -99,19 +76,17 @@ def step_comparison(joints: int, threads: int, wanted: float) -> Comparison:
         x, y = written_out(setup, windows, ends), windows.target_rows[ends]
         exact = double_precision(core.shape, start, x, y)
         own = torch_backend.TorchBackend(torch_backend.lstm_module(setup, HIDDEN, 0), setup, windows, STEPS, targets=1)
-        for layout in ("batch first", "time first"):
-            way, result = pytorch_step(core.shape, start, x, y, layout)
-            ways[f"PyTorch, {layout}"] = way
-            accuracy[f"PyTorch, {layout}"] = differences(result, exact)
+        ways["PyTorch"], result = pytorch_step(core.shape, start, x, y)
+        accuracy["PyTorch"] = differences(result, exact)
         ways[BACKEND] = in_the_loop(own, ends)
         for name, backend in ((CORE, core), (BACKEND, own)):
             result = backend.predict(start, windows, ends), backend.gradient(start, ends)[1]
             accuracy[name] = differences(result, exact)
     name = f"step: {BATCH} x {STEPS}, F {len(setup.inputs)}, {joints} outputs"
-    return Comparison(name, threads, wanted, ways, accuracy, runs=10)
+    return Comparison(name, threads, ways, accuracy, runs=10)
 
 
-def evaluation_comparison(count: int, threads: int, wanted: float) -> Comparison:
+def evaluation_comparison(count: int, threads: int) -> Comparison:
     """Output of windows that end at every row of a recording."""
     setup, windows = made_windows(2, count)
     core = CoreBackend(setup, windows, HIDDEN, STEPS, targets=1, threads=threads)
@@ -122,14 +97,11 @@ def evaluation_comparison(count: int, threads: int, wanted: float) -> Comparison
         some = windows.ends[:: max(1, count // BATCH)]
         exact = double_precision(core.shape, start, written_out(setup, windows, some), windows.target_rows[some])[0]
         own = torch_backend.TorchBackend(torch_backend.lstm_module(setup, HIDDEN, 0), setup, windows, STEPS, targets=1)
-        for reading in ("view", "gathered"):
-            for batch in (1000, 4000):
-                way = pytorch_evaluation(core.shape, start, setup, windows, reading, batch)
-                ways[f"PyTorch, {reading}, {batch} at once"] = way
+        ways["PyTorch"] = pytorch_evaluation(core.shape, start, setup, windows)
         ways[BACKEND] = lambda: own.predict(start, windows, windows.ends)
         for name, way in ways.items():
             accuracy[name] = differences((way()[:: max(1, count // BATCH)], None), (exact, None))
-    return Comparison(f"evaluation: {count} windows x {STEPS}, F 6", threads, wanted, ways, accuracy, runs=1)
+    return Comparison(f"evaluation: {count} windows x {STEPS}, F 6", threads, ways, accuracy, runs=1)
 
 
 def made_windows(joints: int, count: int) -> tuple[Setup, WindowSet]:
@@ -164,27 +136,24 @@ def in_the_loop(backend: CoreBackend | torch_backend.TorchBackend, ends: np.ndar
     def step() -> None:
         parameters, adam = at[0]
         _, gradient = backend.gradient(parameters.astype(np.float32), ends)
-        at[0] = adam.step(parameters, gradient, LEARNING_RATE)
+        at[0] = adam.step(parameters, gradient, 0.001)
 
     return step
 
 
 def pytorch_step(
-    shape: _core.LstmShape, parameters: np.ndarray, x: np.ndarray, y: np.ndarray, layout: str
+    shape: _core.LstmShape, parameters: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[Way, tuple[np.ndarray, np.ndarray]]:
     """A step as one writes it with PyTorch, its windows and targets ready; and its first output and gradient."""
     lstm, head = torch_backend.lstm_from_parameters(shape, parameters)
-    lstm.batch_first = layout == "batch first"
-    windows, targets = torch.from_numpy(x), torch.from_numpy(y)
-    if not lstm.batch_first:
-        windows = windows.transpose(0, 1).contiguous()
+    lstm.batch_first = False  # faster
+    windows, targets = torch.from_numpy(x).transpose(0, 1).contiguous(), torch.from_numpy(y)
     trained = torch_backend.in_core_order(lstm, head)
-    optimiser = torch.optim.Adam(trained, lr=LEARNING_RATE, fused=True)
+    optimiser = torch.optim.Adam(trained, lr=0.001, fused=True)
 
     def backward() -> torch.Tensor:
         optimiser.zero_grad()
-        hidden = lstm(windows)[0]
-        output = head(hidden[:, -1] if lstm.batch_first else hidden[-1])
+        output = head(lstm(windows)[0][-1])
         torch.nn.functional.mse_loss(output, targets).backward()
         return output
 
@@ -196,23 +165,17 @@ def pytorch_step(
     return step, (first, torch_backend.flat([p.grad for p in trained]).numpy())
 
 
-def pytorch_evaluation(
-    shape: _core.LstmShape, parameters: np.ndarray, setup: Setup, windows: WindowSet, reading: str, batch: int
-) -> Way:
-    """All windows of the rows, so many at once, time first: out of a view into the rows, or gathered by index."""
+def pytorch_evaluation(shape: _core.LstmShape, parameters: np.ndarray, setup: Setup, windows: WindowSet) -> Way:
+    """All windows of the rows, 4000 at once, time first, as a view into the rows."""
     lstm, head = torch_backend.lstm_from_parameters(shape, parameters)
     lstm.batch_first = False
     inputs = np.stack([np.roll(windows.rows[:, column], lag) for column, lag in setup.inputs], axis=-1)
-    rows, ends, steps = torch.from_numpy(inputs), torch.from_numpy(windows.ends), torch.arange(1 - STEPS, 1)
+    rows = torch.from_numpy(inputs)
 
     def evaluate() -> np.ndarray:
-        if reading == "view":
-            view = rows[setup.reach - STEPS + 1 :].unfold(0, STEPS, 1).permute(2, 0, 1)  # (T, N, F)
-            batches = view.split(batch, dim=1)
-        else:
-            batches = (rows[some + steps[:, None]] for some in ends.split(batch))
+        view = rows[setup.reach - STEPS + 1 :].unfold(0, STEPS, 1).permute(2, 0, 1)  # (T, N, F)
         with torch.no_grad():
-            return torch.cat([head(lstm(x)[0][-1]) for x in batches]).numpy()
+            return torch.cat([head(lstm(x)[0][-1]) for x in view.split(4000, dim=1)]).numpy()
 
     return evaluate
 
@@ -234,29 +197,24 @@ def differences(result: tuple, exact: tuple) -> tuple[float | None, float | None
 
 
 def show(comparison: Comparison, rounds: int) -> None:
-    """Measure the ways in turns and print a line for ours, for PyTorch's fastest and for our PyTorch backend."""
+    """Measure the ways in turns and print a line for each."""
     times: dict[str, list[float]] = {name: [] for name in comparison.ways}
     if torch:
         torch.set_num_threads(comparison.threads)
     for _ in range(rounds):
         for name, way in comparison.ways.items():
-            time.sleep(PAUSE_S)
+            time.sleep(0.1)
             way()
             for _ in range(comparison.runs):
                 start = time.perf_counter()
                 way()
                 times[name].append(1e3 * (time.perf_counter() - start))
     medians = {name: statistics.median(ms) for name, ms in times.items()}
-    fastest = min((name for name in times if name.startswith("PyTorch")), key=medians.get, default=None)
-    for name in (CORE, fastest, BACKEND):
-        if name not in times:
-            continue
-        ms, ratio = times[name], medians[name] / medians[CORE]
-        first = f"{comparison.name:42}{comparison.threads:8}" if name == CORE else " " * 50
-        wanted = f" (wanted {comparison.wanted:.0f})" if name == fastest else ""
+    for name in times:
+        numbers = (f"{ms:.2f}" for ms in (medians[name], min(times[name]), max(times[name])))
         accuracy = ", ".join("-" if a is None else f"{a:.0e}" for a in comparison.accuracy.get(name, (None, None)))
-        line = f"{first}  {name:31}{medians[name]:8.2f}{min(ms):9.2f}{max(ms):9.2f}{ratio:7.1f}   {accuracy}{wanted}"
-        print(line, flush=True)
+        ratio = f"{medians[name] / medians[CORE]:.1f}"
+        print(table_row(comparison.name, comparison.threads, name, *numbers, ratio, accuracy), flush=True)
 
 
 if __name__ == "__main__":

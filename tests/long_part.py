@@ -282,7 +282,7 @@ def fuzz(run: Run) -> None:
 def soak(run: Run) -> None:
     """A monitor after a simulated day beside a fresh one."""
     run.make("benches")
-    run.command(["nice", BUILD / "cpp/soak_bench"])
+    run.command(["nice", BUILD / "cpp/monitor_soak"])
 
 
 def timing(run: Run) -> None:

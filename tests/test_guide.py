@@ -66,7 +66,7 @@ KEPT = ROOT / "docs" / "results" / "real-arms"
 
 @pytest.fixture
 def real_arms(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    monkeypatch.syspath_prepend(str(ROOT / "packages/lab/benchmarks"))
     return __import__("real_arms")
 
 

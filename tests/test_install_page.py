@@ -16,7 +16,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "install.md").read_text()
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-FOR_DEVELOPERS = {"dev", "docs", "bench", "browser"}
+FOR_DEVELOPERS = {"dev", "docs", "browser"}
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 DATA = ROOT.parent / "shared" / "data" / "mocca"
-sys.path.insert(0, str(ROOT / "benchmarks"))
+sys.path.insert(0, str(ROOT / "packages/lab/benchmarks"))
 import mocca  # noqa: E402
 from mocca_recording import read_segments  # noqa: E402
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "packages/lab/benchmarks"))
 
 from mutations.cases import Case, broken_dataset, cases_of, judged_recording
 from mutations.changes import Change, Facts, broken_flags, broken_intervals, changed, pushed, with_load

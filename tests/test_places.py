@@ -309,7 +309,7 @@ def with_mass(body, points: np.ndarray, inwards: np.ndarray) -> tuple:
     return points, inwards, share / share.sum()
 
 
-@pytest.mark.parametrize("arm", ["seven_axis.urdf", "unseen/palletizer.urdf"])
+@pytest.mark.parametrize("arm", ["seven_axis.urdf", "../packages/lab/benchmarks/unseen/palletizer.urdf"])
 def test_a_guess_has_the_shapes_of_its_definition(arm):
     """Means and covariances of points and normals, masses considered. Axes of the palletizer are parallel."""
     tree, end, rng = load_tree(SEVEN_AXIS.parent / arm), np.array([0.01, 0, 0.12]), np.random.default_rng(3)

@@ -17,7 +17,7 @@ ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 CITATION = YAML(typ="safe").load((ROOT / "CITATION.cff").read_text())
 # Names that the table writes as their makers do.
-WRITTEN = {"pyarrow": "Apache Arrow", "torch": "PyTorch", "pin": "Pinocchio", "onnxruntime": "ONNX Runtime"}
+WRITTEN = {"pyarrow": "Apache Arrow", "torch": "PyTorch", "pin": "Pinocchio"}
 
 
 def test_package_core_and_installed_metadata_have_the_version_of_pyproject():

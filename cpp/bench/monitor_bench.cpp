@@ -1,6 +1,5 @@
-// Time per sample of the monitor, its network alone, a recomputed window and a paced loop; one JSON object on stdout.
+// Time per sample of the monitor, its network alone and a paced loop; one JSON object on stdout.
 //   monitor_bench [joints 2] [steps 1000000] [paced_s 10] [bundle -] [motion -]
-//   monitor_bench --dump FILE [joints 2] [bundle -]
 #include <algorithm>
 #include <cerrno>
 #include <chrono>
@@ -8,7 +7,6 @@
 #include <cstdarg>
 #include <cstdio>
 #include <cstdlib>
-#include <cstring>
 #include <limits>
 #include <optional>
 #include <string>
@@ -23,7 +21,7 @@
 #include <time.h>
 #endif
 
-#include "force_bundle.hpp"
+#include "../tests/made_bundle.hpp"
 #include "network/lstm_lanes.hpp"
 #include "network/sliding_lstm.hpp"
 #include "tauext/monitor.hpp"
@@ -34,7 +32,6 @@ namespace {
 
 constexpr char kUsage[] =
     "usage: monitor_bench [joints 2] [steps 1000000] [paced_s 10] [bundle -] [motion -]\n"
-    "       monitor_bench --dump FILE [joints 2] [bundle -]\n"
     "\n"
     "Prints one JSON object: p50, p99, p99.9 and maximum [ns] of what a sample takes.\n"
     "  joints   1 to 32; with a bundle, the bundle's\n"
@@ -42,13 +39,10 @@ constexpr char kUsage[] =
     "  paced_s  seconds of a loop that sleeps until each sample is due; 0: none\n"
     "  bundle   a file; -: made here, H = 20, windows of 100 steps of 10 samples at 1 kHz\n"
     "  motion   float64 rows q, dq, tau of the arm in free motion, at the bundle's sample period; -: sines. With it, the\n"
-    "           monitor is also timed while it weighs, expects a load, and during a contact\n"
-    "  --dump   writes, as float32: the network's parameters (LstmShape's order), the scaled inputs of one window\n"
-    "           (steps, inputs) and the network's output for it; prints the sizes\n";
+    "           monitor is also timed while it weighs, expects a load, and during a contact\n";
 
 constexpr int kHidden = 20, kWindowSteps = 100, kStride = 10;
 constexpr std::int64_t kWarmUpSamples = 10'000;  // beyond health ok
-constexpr std::int64_t kRecomputed = 20'000;
 constexpr int kPriority = 80;                    // of SCHED_FIFO: under the kernel's own threads that must run
 
 std::int64_t now_ns() noexcept {
@@ -63,15 +57,6 @@ std::int64_t now_ns() noexcept {
   std::vsnprintf(text, sizeof text, pattern, values);
   va_end(values);
   return text;
-}
-
-std::string quoted(std::string_view text) {
-  std::string out = "\"";
-  for (const char c : text) {
-    if (c == '"' || c == '\\') out += '\\';
-    out += static_cast<unsigned char>(c) < ' ' ? ' ' : c;
-  }
-  return out + '"';
 }
 
 // Real-time settings that the operating system permits. Only existing pages are locked: with MCL_FUTURE and a small limit
@@ -259,7 +244,7 @@ Stepped timed_step(Monitor& monitor, const Sample& sample, Parts& parts, bool on
 }
 
 // What goes on while a monitor is timed.
-enum class During { free_motion, weighing, expecting, contact, declared };
+enum class During { free_motion, weighing, expecting, contact };
 constexpr double kPushLimits = 3;  // a contact's torque, in the limits of the first joint in free motion
 
 void keep_up(Monitor& monitor, During during) {
@@ -269,28 +254,15 @@ void keep_up(Monitor& monitor, During during) {
     throw Error(monitor.why_not_expected(60, 1));
 }
 
-// The force that is declared at the last link, in an arm of three joints or more within a cone.
-DeclaredContact declared_contact(int joints) {
-  DeclaredContact contact;
-  contact.frame = joints - 1;
-  contact.point = {0.05, 0.02, 0.1};
-  contact.axis = {0.3, 0.2, 1};
-  contact.half_angle_rad = joints > 3 ? 0.5 : 0.0;
-  contact.at_most_n = 20;
-  return contact;
-}
-
 // Samples whose health is ok are timed; sines have no others.
-std::string monitor_part(const Bundle& b, const Recorded* recorded, NetworkRate rate, During during, std::int64_t steps,
-                         RealTime& real_time, Parts& parts) {
-  Monitor monitor(b, rate);
+std::string monitor_part(const Bundle& b, const Recorded* recorded, During during, std::int64_t steps, RealTime& real_time,
+                         Parts& parts) {
+  Monitor monitor(b);
   Motion motion(b, recorded);
   Breath breath;
   parts.clear();
   real_time.lock_memory();
   std::int64_t k = warm_up(monitor, motion, b), not_ok = 0;
-  if (during == During::declared && monitor.expect_contact(declared_contact(b.joints()), kAlways_s) < 0)
-    throw Error(monitor.why_no_contact(declared_contact(b.joints()), kAlways_s));
   if (during == During::contact) motion.push_nm = kPushLimits * monitor.last().limit_nm[0];
   for (std::int64_t timed = 0; timed < steps; ++k) {
     keep_up(monitor, during);
@@ -335,41 +307,6 @@ std::string network_part(const Bundle& b, std::int64_t steps, RealTime& real_tim
   return "{" + parts.json("answer", motion.period_ns) + "}";
 }
 
-// Rows of the motion, enough for `windows` windows that end at consecutive rows, and the first of these ends.
-struct Rows {
-  std::vector<float> values;
-  WindowRows windows;
-  std::int64_t first_end;
-  Rows(const Bundle& b, std::int64_t count)
-      : windows{nullptr, 0, b.columns(), b.observer.network_stride, b.window_steps, b.inputs},
-        first_end(windows.reach()) {
-    windows.row_count = first_end + count;
-    values.resize(static_cast<std::size_t>(windows.row_count * windows.columns));
-    windows.rows = values.data();
-    Motion motion(b, nullptr);
-    for (std::int64_t k = 0; k < windows.row_count; ++k)
-      motion.row(k, b.input_factors, values.data() + k * windows.columns);
-  }
-};
-
-std::string recomputed_part(const Bundle& b, RealTime& real_time, Parts& parts) {
-  if (!b.has_network()) return "null";
-  constexpr std::int64_t before = 200;  // unmeasured
-  const Rows rows(b, kRecomputed + before);
-  Breath breath;
-  std::vector<float> out(b.links.size());
-  parts.clear();
-  real_time.lock_memory();
-  for (std::int64_t k = 0; k < kRecomputed + before; ++k) {
-    const std::int64_t row = rows.first_end + k, start = now_ns();
-    lstm_forward(b.shape, b.parameters, rows.windows, std::span(&row, 1), out, 1);
-    const std::int64_t end = now_ns();
-    if (k >= before) parts.both.add(end - start);
-    breath.take(end);
-  }
-  return parts.both.json(b.observer.sample_period_ns);
-}
-
 // As in a control loop: between two samples the core sleeps or does other work, and caches grow cold. A tick that has
 // passed when the step ends is left out, and the loop goes on at the next.
 std::string paced_part(const Bundle& b, const Recorded* recorded, double paced_s, RealTime& real_time, Parts& parts) {
@@ -398,52 +335,11 @@ std::string paced_part(const Bundle& b, const Recorded* recorded, double paced_s
                 (long long)missed, (long long)left_out, (long long)not_ok);
 }
 
-std::string clock_part(Parts& parts, std::int64_t count) {
-  parts.clear();
-  for (std::int64_t k = 0; k < count; ++k) {
-    const std::int64_t start = now_ns(), end = now_ns();
-    parts.both.add(end - start);
-  }
-  return parts.both.json(1'000'000);
-}
-
 std::string sizes(const Bundle& b) {
   return format("\"joints\": %d, \"inputs\": %d, \"hidden\": %d, \"outputs\": %d, \"window_steps\": %d, "
                 "\"stride\": %d, \"sample_period_ns\": %lld",
                 b.joints(), b.shape.inputs, b.shape.hidden, b.shape.outputs, b.window_steps, b.observer.network_stride,
                 (long long)b.observer.sample_period_ns);
-}
-
-void dump(const Bundle& b, const std::string& path) {
-  if (!b.has_network()) throw Error("the bundle has no network");
-  const Rows rows(b, 1);
-  const WindowRows& w = rows.windows;
-  std::vector<float> out(b.links.size()), sliding(b.links.size()), window;
-  lstm_forward(b.shape, b.parameters, w, std::span(&rows.first_end, 1), out, 1);
-  SlidingLstm network(b.shape, b.parameters, b.inputs, w.columns, w.stride, w.length, NetworkRate::every_sample);
-  bool answered = false;
-  for (std::int64_t row = 0; row < w.row_count; ++row) {
-    network.push(std::span(w.rows + row * w.columns, static_cast<std::size_t>(w.columns)), 1);
-    answered = network.answer(sliding);
-    network.advance();
-  }
-  if (!answered || std::memcmp(sliding.data(), out.data(), out.size() * sizeof(float)) != 0)
-    throw Error("the network at every sample and its window computed anew differ");
-  for (int t = 0; t < w.length; ++t)
-    for (const LstmInput& input : b.inputs) {
-      const std::int64_t back = static_cast<std::int64_t>(w.length - 1 - t + input.lag) * w.stride;
-      window.push_back(w.rows[(rows.first_end - back) * w.columns + input.column]);
-    }
-  std::FILE* file = std::fopen(path.c_str(), "wb");
-  if (!file) throw Error(path + ": cannot be opened");
-  std::size_t written = 0;
-  const auto write = [&](const std::vector<float>& list) {
-    written += std::fwrite(list.data(), sizeof(float), list.size(), file);
-  };
-  write(b.parameters), write(window), write(out);
-  if (std::fclose(file) != 0 || written != b.parameters.size() + window.size() + out.size())
-    throw Error(path + ": cannot be written");
-  std::printf("{%s}\n", sizes(b).c_str());
 }
 
 double number(const char* what, const char* text, double least, double largest) {
@@ -454,30 +350,13 @@ double number(const char* what, const char* text, double least, double largest) 
   return value;
 }
 
-double whole(const char* what, const char* text, double least, double largest) {
-  const double value = number(what, text, least, largest);
-  if (value != std::floor(value)) throw Error(std::string(what) + " = " + text + " must be a whole number");
-  return value;
-}
-
-Bundle get_bundle(const char* joints_text, const char* path) {
-  const int joints = static_cast<int>(whole("joints", joints_text, 1, kMaxJoints));
-  if (std::string_view(path) == "-") return made::bundle(joints, kHidden, kWindowSteps, kStride, 1);
-  return load_bundle(path);
-}
-
-void measure(const Bundle& b, const char* bundle_name, const Recorded* recorded, std::int64_t steps, double paced_s) {
+void measure(const Bundle& b, const Recorded* recorded, std::int64_t steps, double paced_s) {
   const double ticks = paced_s * 1e9 / static_cast<double>(b.observer.sample_period_ns);
-  constexpr std::int64_t clock_readings = 100'000;
-  Parts parts(std::max({steps, kRecomputed, clock_readings, static_cast<std::int64_t>(ticks) + 1}));
+  Parts parts(std::max(steps, static_cast<std::int64_t>(ticks) + 1));
   RealTime real_time;
-  std::string json = "{" + sizes(b) + ", \"bundle\": " + quoted(bundle_name);
-  json += ", \"compiler\": " + quoted(__VERSION__);
+  std::string json = "{" + sizes(b);
   json += format(", \"lanes\": %d, \"steps\": %lld", lanes::lane_count(), (long long)steps);
-  const auto time_of = [&](const Bundle& of, During during, NetworkRate rate = NetworkRate::every_sample) {
-    return monitor_part(of, recorded, rate, during, steps, real_time, parts);
-  };
-  const auto monitor_in = [&](During during, NetworkRate rate = NetworkRate::every_sample) { return time_of(b, during, rate); };
+  const auto monitor_in = [&](During during) { return monitor_part(b, recorded, during, steps, real_time, parts); };
   json += ", \"monitor\": " + monitor_in(During::free_motion);
   if (recorded) {
     json += ", \"contact\": " + monitor_in(During::contact);
@@ -485,17 +364,8 @@ void measure(const Bundle& b, const char* bundle_name, const Recorded* recorded,
     json += ", \"weighing\": " + (able.can_weigh() ? monitor_in(During::weighing) : "null");
     json += ", \"expecting\": " + (able.why_not_expected(60, 1).empty() ? monitor_in(During::expecting) : "null");
   }
-  Bundle forces = b;  // a contact can be declared where standard errors are known
-  if (!recorded && !forces.error_scale.on()) forces = made::with_errors(b);
-  if (b.joints() > 1 && Monitor(forces).contact_fault(declared_contact(b.joints()), 1) == ContactFault::none) {
-    json += ", \"with_errors\": " + time_of(forces, During::free_motion);
-    json += ", \"declared\": " + time_of(forces, During::declared);
-  }
   json += ", \"network\": " + network_part(b, steps, real_time, parts);
-  json += ", \"recomputed_window\": " + recomputed_part(b, real_time, parts);
-  json += ", \"monitor_network_period\": " + monitor_in(During::free_motion, NetworkRate::network_period);
   json += ", \"paced\": " + paced_part(b, recorded, paced_s, real_time, parts);
-  json += ", \"clock\": " + clock_part(parts, clock_readings);  // two readings, one after the other
   json += format(", \"core\": %d, \"memory_locked\": %s, \"fifo\": %s}", real_time.core,
                  real_time.locked ? "true" : "false", real_time.fifo ? "true" : "false");
   std::puts(json.c_str());
@@ -506,19 +376,16 @@ void measure(const Bundle& b, const char* bundle_name, const Recorded* recorded,
 int main(int argc, char** argv) {
   const auto argument = [&](int at, const char* otherwise) { return argc > at ? argv[at] : otherwise; };
   try {
-    if (std::string_view(argument(1, "")) == "--dump") {
-      if (argc < 3 || argc > 5) throw Error("--dump needs a file and takes joints and a bundle");
-      dump(get_bundle(argument(3, "2"), argument(4, "-")), argv[2]);
-      return 0;
-    }
     if (argc > 6) throw Error("too many arguments");
-    const auto steps = static_cast<std::int64_t>(whole("steps", argument(2, "1000000"), 1, 1e9));
+    const auto steps = static_cast<std::int64_t>(number("steps", argument(2, "1000000"), 1, 1e9));
     const double paced_s = number("paced_s", argument(3, "10"), 0, 3600);
     const char *path = argument(4, "-"), *motion = argument(5, "-");
-    const Bundle bundle = get_bundle(argument(1, "2"), path);
+    const int joints = static_cast<int>(number("joints", argument(1, "2"), 1, kMaxJoints));
+    const bool made_here = std::string_view(path) == "-";
+    const Bundle bundle = made_here ? made::bundle(joints, kHidden, kWindowSteps, kStride, 1) : load_bundle(path);
     std::optional<Recorded> recorded;
     if (std::string_view(motion) != "-") recorded.emplace(bundle, motion);
-    measure(bundle, path, recorded ? &*recorded : nullptr, steps, paced_s);
+    measure(bundle, recorded ? &*recorded : nullptr, steps, paced_s);
   } catch (const std::exception& e) {
     std::fprintf(stderr, "monitor_bench: %s\n\n%s", e.what(), kUsage);
     return 2;

@@ -8,9 +8,9 @@
 #include <string>
 #include <vector>
 
-#include "../bench/force_bundle.hpp"
 #include "alarm/contact_errors.hpp"
 #include "check.hpp"
+#include "made_bundle.hpp"
 #include "made_signals.hpp"
 #include "tauext/monitor.hpp"
 #include "touch/cone_fit.hpp"

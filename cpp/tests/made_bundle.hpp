@@ -102,4 +102,16 @@ inline tauext::Bundle bundle(int joints, int hidden, int window_steps, int strid
   return b;
 }
 
+// An arm without a network whose joints have an error scale of 1 N m, and errors that correlate by 0.2.
+inline tauext::Bundle force_bundle(int joints) {
+  tauext::Bundle bundle = made::bundle(joints, 0, 30, 10, 1);
+  const auto n = static_cast<std::size_t>(joints);
+  bundle.error_scale.features = {tauext::MotionFeature::constant};
+  bundle.error_scale.limit_weights = bundle.error_scale.sigma_weights = bundle.error_scale.sigma_near_weights =
+      bundle.error_scale.largest = bundle.error_scale.largest_sigma = std::vector<double>(n, 1.0);
+  bundle.wrench.correlation.assign(n * n, 0.2);
+  for (std::size_t j = 0; j < n; ++j) bundle.wrench.correlation[j * n + j] = 1;
+  return bundle;
+}
+
 }  // namespace made

@@ -27,6 +27,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads of small systems only wait for each other
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "packages/lab/benchmarks"))
 
 import numpy as np
 
@@ -68,7 +69,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--look-only", action="store_true", help="train nothing: say what the door lets in")
     parser.add_argument("--list", action="store_true", help="print the cases and end")
     parser.add_argument("--good", action="store_true", help="look at good data alone: nothing may be refused")
-    parser.add_argument("--unseen", type=Path, help="OUT of benchmarks/unseen_arms.py, for --good")
+    parser.add_argument("--unseen", type=Path, help="OUT of packages/lab/benchmarks/unseen_arms.py, for --good")
     return parser.parse_args()
 
 

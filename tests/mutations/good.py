@@ -170,7 +170,7 @@ def make_unseen(home: Path, models: Path) -> Path:
     for number, take in enumerate(TAKES):
         if not (raw / f"{take.name}.truth.npz").exists():
             write_take(maker, 1 if take.name == "donor" else 0, number, raw, TAKES)
-    (raw / "arm.toml").write_text(with_intervals(description(maker, 0, True, TAKES), raw))
+    (raw / "arm.toml").write_text(with_intervals(description(maker, 0, TAKES), raw))
     shutil.rmtree(folder, ignore_errors=True)
     tauext("import", "--source", *(raw / f"{t.name}.csv" for t in TAKES), "--arm", raw / "arm.toml", "--out", folder)
     (home / "donors").mkdir(exist_ok=True)
@@ -278,7 +278,7 @@ def look_at_good(out: Path, data: Path, unseen: Path | None, jobs: int) -> Itera
     Args:
         out: with made/, the clean datasets.
         data: folder of the shared recordings.
-        unseen: what benchmarks/unseen_arms.py made; None: its arms are left out.
+        unseen: what packages/lab/benchmarks/unseen_arms.py made; None: its arms are left out.
     """
     folders = {path.parent.name: path for path in sorted((out / "made").glob("*/data"))}
     folders |= shared_datasets(out / "good", data)
@@ -299,7 +299,7 @@ def _row(name: str, folder: Path) -> dict:
 
 
 def shared_datasets(out: Path, data: Path) -> dict[str, Path]:
-    """The shared recordings as benchmarks/real_arms.py imports them, with the right descriptions, and the SO-101's."""
+    """The shared recordings as real_arms.py imports them, with the right descriptions, and the SO-101's."""
     import real_arms
 
     folders = {}

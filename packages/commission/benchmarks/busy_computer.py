@@ -26,22 +26,18 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
-sys.path.insert(0, str(Path(__file__).parents[3] / "tests"))
 
 import seven_axis
 from common import arguments, head, table_row, write_tables
 from made_bundles import pushed, watching_bundle
-from reaction import bundle_with_contacts
+from reaction import Timing, bundle_with_contacts
 from tauext_commission.live import LiveSink
 from tauext_commission.page import serve
 from tauext_commission.page.access import listening_socket
 
 from tauext import _core
 from tauext.data.recording import Recording
-from tauext.monitor.changes import AlarmChange
-from tauext.monitor.latency import Latencies
 from tauext.monitor.loop import Loop, LoopSettings
-from tauext.monitor.sink import Control, LoopReport, Verdict
 from tauext.monitor.source import Sample, SourceCounts, SourceSettings, settings_of
 
 PERIOD_NS = 1_000_000
@@ -120,34 +116,6 @@ class Sent:
 
     def close(self) -> None:
         self._pipe.close()
-
-
-class Timing:
-    """Last of the sinks: delays of all samples, and of those that raised an alarm."""
-
-    def __init__(self) -> None:
-        self.all, self.alarms, self.in_blocks = Latencies(), Latencies(), 0
-
-    def open(self, joints: tuple[str, ...], control: Control) -> None:
-        pass
-
-    def verdict(self, verdict: Verdict) -> None:
-        now_ns = time.monotonic_ns()
-        if verdict.block is None:
-            return
-        sent_ns = verdict.block.received_ns.tolist()
-        self.in_blocks += len(sent_ns) * (len(sent_ns) > 1)
-        for one in sent_ns:
-            self.all.add(now_ns - one)
-        for change in verdict.changes:
-            if isinstance(change, AlarmChange) and change.alarm > change.was:
-                self.alarms.add(now_ns - sent_ns[change.row - verdict.row])
-
-    def every_second(self, report: LoopReport) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
 
 
 # --- A run.

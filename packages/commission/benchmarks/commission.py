@@ -1,13 +1,12 @@
 """Days of `tauext commission` on simulated arms, with touches that nobody reports: a fast simulation without a page.
 
     python packages/commission/benchmarks/commission.py OUT --arm offset_wrist [--no-model]
-        [--plan loads|calm|week|first] [--hours H] [--touch-every MINUTES] [--seed 0]
+        [--plan loads|calm|week] [--hours H] [--touch-every MINUTES] [--seed 0]
     python packages/commission/benchmarks/commission.py OUT --tables      OUT/days.md: tables of all results in OUT
 
 Plan `loads`: four parts of --hours (6), each after a pause of two hours and from a cold start: bare, with one load,
 with a heavier one, with another tool. Plan `calm`: the first part, and nothing touches the arm. Plan `week`: seven
-days of --hours (4) each. Plan `first`: the first hour alone, for a comparison of rates of touches; with --touch-every 0
-nothing touches the arm. Something touches the arm once in --touch-every minutes (10), and nobody says so. Alarms
+days of --hours (4) each. Something touches the arm once in --touch-every minutes (10), and nobody says so. Alarms
 without a touch are answered `nothing`; a question about a change of the arm is answered `learn` after two minutes.
 Recorder, training process and monitor are those of the command; a training takes the simulated time that it takes
 here. After the first part of `loads`, `tauext train` and `tauext calibrate` make a bundle of the same recordings, and
@@ -35,15 +34,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command does
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
-sys.path.insert(0, str(Path(__file__).parents[3] / "tests"))
 
-from common import arguments, commit, head, joined, save_json, table_row, tauext, write_tables
+from common import COLLISION, arguments, commit, head, save_json, table_row, tauext, write_tables
 from made_live import replay as replayed
 from tauext_commission.connect import as_data, provenance_of, write_arm
 from tauext_commission.folder import CommissionFolder, wall
 from tauext_commission.history import promise_of
 from tauext_commission.motion_recorder import KeepSink
-from tauext_commission.promises import meets
 from tauext_commission.trainer import Trainer
 from tauext_lab.evaluate.comparison import evaluate
 from unseen.working import NAMES, STRETCH_S, Part, Working, working
@@ -53,10 +50,9 @@ from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import NONE
 from tauext.bundle.history_file import read_events, read_history, read_question
 from tauext.data.dataset import load_split
-from tauext.data.free_motion import cut, free_samples
-from tauext.data.labels import SUSPECT_MARGINS, Label
+from tauext.data.free_motion import cut
+from tauext.data.labels import Label
 from tauext.data.recording import Recording, runs_of
-from tauext.data.recording_file import load_recording
 from tauext.data.servo import RAW_SIGNALS
 from tauext.fit.tail import is_kept, rate_interval
 from tauext.monitor.changes import AlarmChange
@@ -68,11 +64,9 @@ NEAR_NS = 500_000_000
 ANSWER_S = 120.0
 REPEATED_S = 60.0
 """What a new bundle's monitor repeats before it takes over."""
-GIGABYTE = 1e9
 BUSY_S, SELDOM = 1800.0, 6
 """So long after its last bundle the training process is asked after every sixth recording only, to save time here."""
 TEST_STRETCHES, TEST_TOUCHES = 6, 50
-COLLISION = 2
 
 
 @dataclass
@@ -100,19 +94,6 @@ class Outcome:
     """Motion from the start of the part, or from the answer to its question, until a bundle of it monitors."""
 
 
-@dataclass(frozen=True)
-class Touch:
-    """One touch."""
-
-    t_ns: np.ndarray
-    tau_ext: np.ndarray
-    """True torque at its samples, (samples, joints)."""
-
-    @property
-    def span(self) -> tuple[int, int]:
-        return int(self.t_ns[0]), int(self.t_ns[-1])
-
-
 class Simulation:
     """One arm, its folder, and what happened."""
 
@@ -128,7 +109,6 @@ class Simulation:
         self.settings = arm.facts.settings
         self.trainer = Trainer(self.folder)
         self.outcomes: list[Outcome] = []
-        self.truth: list[Touch] = []
         self.sink = KeepSink(self.folder, self.settings, "simulated", disk_bytes)
         self.sink.open(self.settings.joints, None)  # type: ignore[arg-type]
         self.sink.worker.patient = True
@@ -144,7 +124,7 @@ class Simulation:
         self.alarms = self.number = 0
         self.now_ns = self.newest_s = 0
         self.most_bytes = 0
-        self.training_s: list[tuple[str, float]] = []
+        self.work_s = 0.0
 
     # Motion.
 
@@ -175,15 +155,13 @@ class Simulation:
 
     def stretch(self, made: Recording) -> None:
         """Send a stretch in recordings of 10 s to monitor and recorder, and let the training process work between."""
-        assert made.contact is not None and made.tau_ext is not None
+        assert made.contact is not None
         found: list[tuple[int, int]] = []
         for a, b in runs_of(made.contact == 1).tolist():
             if found and made.t_ns[a] - made.t_ns[found[-1][1] - 1] < NEAR_NS:
                 a = found.pop()[0]
             found.append((a, b))
-        touches = [Touch(made.t_ns[a:b], made.tau_ext[a:b]) for a, b in found]
-        spans = [one.span for one in touches]
-        self.truth += touches
+        spans = [(int(made.t_ns[a]), int(made.t_ns[b - 1])) for a, b in found]
         rows = self.sink._rows
         for begin in range(0, made.samples, rows):
             part = cut(made, slice(begin, begin + rows))
@@ -212,10 +190,10 @@ class Simulation:
         while (seconds := self.folder.seconds()) >= self.busy_s:
             self.take_over(seconds)  # the loop does not wait for the next training
             started = time.monotonic()
-            if (what := self.trainer.step()) == "nothing":
+            if self.trainer.step() == "nothing":
                 return
             took_s = time.monotonic() - started
-            self.training_s.append((what, took_s))
+            self.work_s += took_s
             self.busy_s = self.folder.seconds() + took_s
 
     def take_over(self, seconds: float) -> None:
@@ -307,58 +285,14 @@ class Simulation:
 
     # Afterwards.
 
-    def trained_on(self, limits: list[float] | None = None) -> dict[str, float]:
-        """Touched seconds in recordings of training and calibration: all and those used; the same of samples beyond a
-        limit; and what suspects cost.
-
-        Args:
-            limits: for sliding, of the same arm untouched; None: those of the bundle in charge.
-        """
-        active = self.folder.active()
-        if limits is None:
-            size = len(self.settings.joints)
-            limits = [np.inf] * size if active is None else load_bundle(active).sliding_limit_nm
-        sums, lost_s, total_s = np.zeros(4), 0.0, 0.0
-        suspects = [one for one in self.folder.labels() if one.answer == "suspect"]
-        before, after = (round(1e9 * one) for one in (SUSPECT_MARGINS.before_s, SUSPECT_MARGINS.after_s))
-        for one in self.folder.segments():
-            if one.set == "test":
-                continue
-            total_s += one.seconds
-            near = [touch for touch in self.truth if touch.span[0] <= one.to_ns and touch.span[1] >= one.from_ns]
-            meant = [label for label in suspects if meets(one, label)]
-            if not near and not meant:
-                continue
-            recording = load_recording(self.folder.path / one.name)
-            used, t_ns, touched = free_samples(recording), recording.t_ns, np.zeros(recording.samples, dtype=bool)
-            for touch in near:
-                at = np.isin(t_ns, touch.t_ns)
-                strong = np.isin(t_ns, touch.t_ns[(np.abs(touch.tau_ext) > np.array(limits)).any(axis=1)])
-                sums += np.array([at.sum(), (at & used).sum(), strong.sum(), (strong & used).sum()]) / recording.rate_hz
-                touched |= (t_ns >= touch.span[0]) & (t_ns <= touch.span[1])
-            doubted = np.any([(t_ns >= of.from_ns - before) & (t_ns <= of.to_ns + after) for of in meant], axis=0)
-            lost_s += float((doubted & ~touched).sum()) / recording.rate_hz
-        found = sum(
-            any(touch.span[0] - NEAR_NS <= one.to_ns and touch.span[1] + NEAR_NS >= one.from_ns for touch in self.truth)
-            for one in suspects
-        )
-        names = ("touched_s", "trained_on_s", "beyond_s", "beyond_trained_on_s")
-        counts = {"suspects": len(suspects), "suspects_touches": found, "lost_share": lost_s / max(total_s, 1e-9)}
-        return dict(zip(names, sums.tolist(), strict=True)) | counts
-
-    def compare(self, part: Part, out: Path, commands: bool) -> dict[str, Any]:
-        """Detections and false alarms of the bundle in charge, and with `commands` of one that `tauext train` makes of
-        the same data."""
+    def compare(self, part: Part, out: Path) -> dict[str, Any]:
+        """Detections and false alarms of the bundle in charge, and of one that commands make of the same data."""
         active = self.folder.active()
         assert active is not None
         out.mkdir(exist_ok=True)
-        bundles = {"commission": load_bundle(active)}
-        if commands:
-            bundles["eight commands"] = self.by_commands(out)
-        made = [
-            self.arm.stretch(self.seed + 1, 5000 + k, part, 7200.0, TEST_TOUCHES if k % 2 else 0)
-            for k in range(TEST_STRETCHES)
-        ]
+        bundles = {"commission": load_bundle(active), "eight commands": self.by_commands(out)}
+        touches = [TEST_TOUCHES if k % 2 else 0 for k in range(TEST_STRETCHES)]
+        made = [self.arm.stretch(self.seed + 1, 5000 + k, part, 7200.0, count) for k, count in enumerate(touches)]
         made = [replace(one, name=f"test-{k}", provenance=provenance_of(self.arm.facts)) for k, one in enumerate(made)]
         loaders = [lambda one=one: one for one in made]
         results = evaluate(bundles, loaders[::2], loaders[1::2], out / "estimates", 0, 1, keep_free_estimates=0)
@@ -367,15 +301,10 @@ class Simulation:
         for one in results.bundles:
             free, latched = one.free_motion, one.latched
             assert latched is not None
-            found[one.name] = {
-                "touches": latched.collisions,
-                "detected": latched.latched,
-                "delay_ms": None if latched.delay_median_s is None else 1000 * latched.delay_median_s,
-                "false": free.false_collisions,
-                "hours": free.hours,
-                "promised_per_hour": free.promised_per_hour,
-                "limits": list(one.limits.sliding_nm),
-            }
+            delay_ms = None if latched.delay_median_s is None else 1000 * latched.delay_median_s
+            counts = {"touches": latched.collisions, "detected": latched.latched, "delay_ms": delay_ms}
+            false = {"false": free.false_collisions, "hours": free.hours, "promised_per_hour": free.promised_per_hour}
+            found[one.name] = counts | false
         return found
 
     def by_commands(self, out: Path) -> _core.Bundle:
@@ -399,13 +328,16 @@ def accepting(*words: object, printed: Path) -> None:
         tauext(*words, "--accept", *faults[-1].split(), printed=printed)
 
 
+BARE = ("bare", 0, False)
 PLANS = {
-    "loads": [("bare", 0, False), ("first load", 1, False), ("second load", 2, False), ("another tool", 0, True)],
-    "calm": [("bare", 0, False)],
-    "first": [("bare", 0, False)],
-    "week": [(f"day {number}", 0, False) for number in range(1, 8)],
+    "loads": (
+        [("bare", 0, False), ("first load", 1, False), ("second load", 2, False), ("another tool", 0, True)],
+        6.0,
+    ),
+    "calm": ([("bare", 0, False)], 6.0),
+    "week": ([(f"day {number}", 0, False) for number in range(1, 8)], 4.0),
 }
-HOURS = {"loads": 6.0, "calm": 6.0, "week": 4.0, "first": 1.0}
+"""Name, load and tool of each part, and its hours."""
 
 
 def main() -> None:
@@ -415,7 +347,6 @@ def main() -> None:
     parser.add_argument("--plan", choices=PLANS, default="loads")
     parser.add_argument("--hours", type=float, help="of each part, default: 6, week: 4")
     parser.add_argument("--touch-every", type=float, default=10.0, help="minutes, default: %(default)s; 0: never")
-    parser.add_argument("--disk-gb", type=float, default=2.0, help="bound of the folder, default: %(default)s")
     parser.add_argument("--seed", type=int, default=0, help="of arm, motion and touches")
     parser.add_argument("--tables", action="store_true", help="write OUT/days.md from the results in OUT")
     options = parser.parse_args()
@@ -428,44 +359,32 @@ def main() -> None:
                 save_json(one, path)
         write_tables(options.out, tables(results), name="days")
         return
-    base = f"{options.arm}{'-no-model' * options.no_model}-{options.plan}"
-    name = f"{base}-{options.touch_every:g}" if options.plan == "first" else base
+    name = f"{options.arm}{'-no-model' * options.no_model}-{options.plan}"
     options.out.mkdir(parents=True, exist_ok=True)
     arm = working(options.arm, options.seed, not options.no_model)
-    simulation = Simulation(options.out / name, arm, options.seed, options.disk_gb * GIGABYTE)
+    simulation = Simulation(options.out / name, arm, options.seed, 2e9)
     simulation.touch_every_min = 0.0 if options.plan == "calm" else options.touch_every
-    hours = options.hours or HOURS[options.plan]
+    parts, hours = PLANS[options.plan]
+    hours = options.hours or hours
     result: dict[str, Any] = {
         "arm": options.arm, "model": not options.no_model, "plan": options.plan, "seed": options.seed, "hours": hours,
-        "touch_every_min": simulation.touch_every_min,
-        "disk_gb": options.disk_gb, "date": f"{date.today():%-d %B %Y}", "commit": commit(),
+        "touch_every_min": simulation.touch_every_min, "date": f"{date.today():%-d %B %Y}", "commit": commit(),
     }  # fmt: skip
-    for title, load, tool in PLANS[options.plan]:
+    for title, load, tool in parts:
         part = Part(title, hours, load, tool)
         simulation.part(part)
-        outcome = simulation.outcomes[-1]
-        print(f"{name}: {asdict(outcome)}", flush=True)
-        if options.plan != "week" and len(simulation.outcomes) == 1 and simulation.folder.active():
-            commands = options.plan != "first"
-            result["compared"] = simulation.compare(part, options.out / f"{name}-compared", commands)
+        print(f"{name}: {asdict(simulation.outcomes[-1])}", flush=True)
+        if options.plan == "loads" and len(simulation.outcomes) == 1 and simulation.folder.active():
+            result["compared"] = simulation.compare(part, options.out / f"{name}-compared")
             print(f"{name}: {result['compared']}", flush=True)
-            untouched = options.out / f"{base}-0.json"
-            limits = (
-                json.loads(untouched.read_text())["compared"]["commission"]["limits"] if untouched.exists() else None
-            )
-            result["learning"] = simulation.trained_on(limits)
-            print(f"{name}: {result['learning']}", flush=True)
         result |= {
             "first_s": simulation.first_s,
             "parts": [asdict(one) for one in simulation.outcomes],
             "most_bytes": simulation.most_bytes,
-            "training_s": sum(took for what, took in simulation.training_s if what == "train"),
-            "work_s": sum(took for _, took in simulation.training_s),
+            "work_s": simulation.work_s,
         }
         save_json(result, options.out / f"{name}.json")
     simulation.sink.close()
-    result["all"] = simulation.trained_on()
-    save_json(result, options.out / f"{name}.json")
 
 
 def false_by_part(folder: Path, one: dict[str, Any]) -> list[tuple[int, int]]:
@@ -498,81 +417,37 @@ def tables(results: list[dict[str, Any]]) -> list[str]:
         "| in [h] | asked"
     )
     for one in results:
-        if one["plan"] == "first":
-            continue
         for part, (before, others) in zip(one["parts"], one["false_by_part"], strict=True):
             waited = "–" if part["waited_s"] is None else f"{part['waited_s'] / 60:.1f}"
             detected, asked = f"{part['detected']} of {part['touches']}", "; ".join(part["asked"])
             received, hours = f"{part['received_h']:.1f}", f"{part['hours']:.1f}"
             name = part["name"] + ", untouched" * (one["plan"] == "calm")
             lines.append(table_row(called(one), name, received, waited, detected, before, others, hours, asked))
-    if compared := [one for one in results if "compared" in one]:
-        lines += ["", "## Compared with the separate commands", ""]
-        lines += head(
-            "arm | bundle | touches detected | median delay [ms] | false collisions | in [h] | promised an hour | "
-            "limits for sliding [N m, A without a model]"
-        )
-        for one in compared:
-            for bundle, found in one["compared"].items() if one["plan"] == "loads" else ():
-                share = found["detected"] / found["touches"]
-                lines.append(table_row(
-                    called(one), bundle, f"{found['detected']} of {found['touches']} ({share:.1%})",
-                    f"{found['delay_ms']:.0f}", found["false"], f"{found['hours']:.1f}",
-                    "–" if found["promised_per_hour"] is None else f"{found['promised_per_hour']:.3g}",
-                    joined(found["limits"], ".2g"),
-                ))  # fmt: skip
-    if firsts := sorted((one for one in results if one["plan"] == "first"), key=first_order):
-        lines += rates_of_touches(firsts)
-    if weeks := [one for one in results if one["plan"] == "week"]:
-        lines += ["", "## Promises day by day", ""]
-        lines += head(
-            "arm | day | promised an hour, first → last | hours | allowed | happened | 95 % interval [1/h] | kept"
-        )
-        for one in weeks:
-            for part in one["parts"]:
-                shown = " → ".join("none" if rate is None else f"{rate:.3g}" for rate in part["promised"])
-                hours, false = part["promised_h"], part["false_promised"]
-                low, high = rate_interval(false, hours) if hours else (0.0, 0.0)
-                kept = "–" if not hours else "yes" if is_kept(false, hours, part["allowed"] / hours) else "NO"
-                lines.append(table_row(
-                    called(one), part["name"], shown, f"{hours:.1f}", f"{part['allowed']:.2f}", false,
-                    f"{low:.2g} to {high:.2g}", kept,
-                ))  # fmt: skip
-        lines += [
-            "",
-            *(
-                f"Disk of {called(one)}: {one['most_bytes'] / 1e9:.2f} GB at most, bound {one['disk_gb']:g} GB."
-                for one in weeks
-            ),
-        ]
-    runs = (f"{called(one)}, {one['plan']}: {one['date']}, commit {one['commit']}" for one in results)
-    return [*lines, "", f"Runs: {'; '.join(runs)}."]
-
-
-def first_order(one: dict[str, Any]) -> tuple[str, float]:
-    """Arms by name, the untouched one first, then by the rate of touches."""
-    return called(one), -one["touch_every_min"] if one["touch_every_min"] else -np.inf
-
-
-def rates_of_touches(firsts: list[dict[str, Any]]) -> list[str]:
-    """Tables of the first hour at several rates of touches."""
-    lines = ["", "## Rates of touches", ""]
-    lines += head(
-        "arm | a touch every | touches detected | false collisions | in [h] | promised an hour | limits for sliding "
-        "[N m, A without a model] | suspects | of them touches | beyond a limit [s] | used [s] | lost"
+    lines += ["", *head(
+        "arm | bundle | touches detected | median delay [ms] | false collisions | in [h] | promised an hour"
+    )]  # fmt: skip
+    for one in results:
+        for bundle, found in one.get("compared", {}).items():
+            detected = f"{found['detected']} of {found['touches']} ({found['detected'] / found['touches']:.1%})"
+            promised = "–" if found["promised_per_hour"] is None else f"{found['promised_per_hour']:.3g}"
+            false = found["false"], f"{found['hours']:.1f}", promised
+            lines.append(table_row(called(one), bundle, detected, f"{found['delay_ms']:.0f}", *false))
+    lines += ["", *head(
+        "arm | day | promised an hour, first → last | hours | allowed | happened | 95 % interval [1/h] | kept"
+    )]  # fmt: skip
+    for one in (one for one in results if one["plan"] == "week"):
+        for part in one["parts"]:
+            shown = " → ".join("none" if rate is None else f"{rate:.3g}" for rate in part["promised"])
+            hours, false, allowed = part["promised_h"], part["false_promised"], part["allowed"]
+            low, high = rate_interval(false, hours) if hours else (0.0, 0.0)
+            kept = "–" if not hours else "yes" if is_kept(false, hours, allowed / hours) else "NO"
+            numbers = f"{hours:.1f}", f"{allowed:.2f}", false, f"{low:.2g} to {high:.2g}", kept
+            lines.append(table_row(called(one), part["name"], shown, *numbers))
+    each = (
+        f"{called(one)}, {one['plan']}: {one['date']}, commit {one['commit']}, at most {one['most_bytes'] / 1e9:.2f} GB"
+        for one in results
     )
-    for one in firsts:
-        found, learned = one["compared"]["commission"], one["learning"]
-        beyond = (f"{learned[name]:.2f}" if one["model"] else "–" for name in ("beyond_s", "beyond_trained_on_s"))
-        lines.append(table_row(
-            called(one), f"{one['touch_every_min']:g} min" if one["touch_every_min"] else "never",
-            f"{found['detected']} of {found['touches']} ({found['detected'] / found['touches']:.1%})",
-            found["false"], f"{found['hours']:.1f}",
-            "–" if found["promised_per_hour"] is None else f"{found['promised_per_hour']:.3g}",
-            joined(found["limits"], ".2g"), learned["suspects"], learned["suspects_touches"], *beyond,
-            f"{learned['lost_share']:.2%}",
-        ))  # fmt: skip
-    return lines
+    return [*lines, "", f"Runs: {'; '.join(each)}."]
 
 
 def called(one: dict[str, Any]) -> str:

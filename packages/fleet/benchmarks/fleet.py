@@ -48,7 +48,7 @@ def simulate(maker: Maker, out: Path, arms: int, minutes: float, workers: int) -
 def sources(maker: Maker, number: int, folder: Path, takes: tuple[Take, ...]) -> None:
     """The CSV files of one arm and their description, some broken."""
     simulate_takes(maker, FIRST_SEED + number, folder, takes)
-    (folder / "arm.toml").write_text(description(maker, FIRST_SEED + number, True, takes))
+    (folder / "arm.toml").write_text(description(maker, FIRST_SEED + number, takes))
     broken = folder / f"{takes[-1].name}.csv"
     if BROKEN.get(number % 20) == "empty":
         broken.write_bytes(b"")
@@ -78,15 +78,11 @@ def written(out: Path) -> dict[str, bytes]:
 def main() -> None:
     parser = type_arguments(__doc__, arms=40)
     parser.add_argument("--minutes", type=float, default=12.0, help="of motion an arm, default: %(default)s")
-    parser.add_argument("--workers", type=int, default=2, help="that simulate, default: %(default)s")
     parser.add_argument("--ray", default=None, help="a cluster of two cores")
-    parser.add_argument("--simulate-only", action="store_true")
     asked = parser.parse_args()
     asked.out.mkdir(parents=True, exist_ok=True)
     maker = replace(makers(asked.models)[asked.type], type_seed=asked.type_seed)
-    fleet = simulate(maker, asked.out, asked.arms, asked.minutes, asked.workers)
-    if asked.simulate_only:
-        return
+    fleet = simulate(maker, asked.out, asked.arms, asked.minutes, 2)
     ways = {"local-1": ("--workers", "1"), "local-2": ("--workers", "2")}
     if asked.ray:
         ways["cluster-2"] = ("--ray", asked.ray)

@@ -2,14 +2,10 @@
 
 import sys
 from importlib.util import find_spec
-from pathlib import Path
 
 import pytest
 from made_fleets import QUICK, arms_of, small_dataset, write_fleet
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-
-from fleet_kills import CASES, again, judge, outputs
+from made_nodes import CASES, again, judge, outputs
 
 pytestmark = [
     pytest.mark.slow,

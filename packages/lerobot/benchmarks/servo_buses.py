@@ -1,4 +1,4 @@
-"""Servo buses: which byte of which register becomes what, and how many of a minute's readings are whole and in time.
+"""Servo buses: how many of a minute's readings are whole and in time.
 
     python packages/lerobot/benchmarks/servo_buses.py [--seconds 60] [--hz 50 100 200] [--priority 80]
 
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import struct
 import subprocess
 import sys
 import time
@@ -39,18 +38,6 @@ from tauext.monitor.source import SourceSettings
 KINDS = {"feetech": (Feetech, FEETECH, sts3215), "dynamixel": (Dynamixel, DYNAMIXEL, x_series)}
 BYTE_S = 10 / 1e6
 SERVOS = 6
-EXAMPLES = {
-    "feetech": [
-        (40, "B", 1, "q_des"), (42, "H", 2148, "q_des"), (56, "H", 2060, "q"), (58, "H", 300, "dq"),
-        (58, "H", 0x8000 | 300, "dq"), (60, "H", 250, "duty"), (60, "H", 0x400 | 250, "duty"), (62, "B", 74, "voltage"),
-        (63, "B", 31, "temperature"), (69, "H", 100, "current"),
-    ],
-    "dynamixel": [
-        (116, "i", 2148, "q_des"), (124, "h", 100, "duty"), (124, "h", -100, "duty"), (126, "h", 300, "current"),
-        (126, "h", -300, "current"), (128, "i", -100, "dq"), (132, "i", 2060, "q"), (144, "H", 50, "voltage"),
-        (146, "B", 30, "temperature"),
-    ],
-}  # fmt: skip
 
 
 def main() -> None:
@@ -66,10 +53,7 @@ def main() -> None:
         serve(options.serve)
         return
     servo_bus.users_of = lambda path: ""  # the process that answers has the pty open, too
-    print("\n".join(head("bus | register | bytes | sample")))
-    for kind in KINDS:
-        decoded(kind)
-    print("\n".join(["", *head("bus | Hz | samples | refused | lost | overrun | ms p50 | p99 | max")]))
+    print("\n".join(head("bus | Hz | samples | refused | lost | overrun | ms p50 | p99 | max")))
     for hz in options.hz:
         for kind, (_, series, _) in KINDS.items():
             with served(kind, options.priority) as port:
@@ -80,22 +64,6 @@ def main() -> None:
         one = source_of(motors, *(CanMotor(NAMES[k], k + 1, 0x11 + k) for k in range(SERVOS)))
         measured("damiao", one, SourceSettings(NAMES, round(1e9 / hz), ("N m",) * SERVOS), hz, options.seconds)
         motors.close()
-
-
-def decoded(kind: str) -> None:
-    """What single registers of the first servo become."""
-    protocol, series, power_on = KINDS[kind]
-    for address, layout, value, signal in EXAMPLES[kind]:
-        with MadeServoBus(protocol(), [1]) as bus:
-            power_on(bus, 1)
-            bus.put(1, layout, address, value)
-            one = ServoSource(series, bus.port, bus_file(ServoJoint(NAMES[0], 1)))
-            one.bus.port.answer_s = 1.0
-            one.open(servo_settings(1))
-            sample = one.next_sample(10.0)
-            one.close()
-        held = struct.pack("<" + layout, value).hex(" ")
-        print(table_row(kind, address, held, f"{signal} = {getattr(sample, signal)[0]:.6g}"))
 
 
 def measured(kind: str, source, settings: SourceSettings, hz: float, seconds: float) -> None:

@@ -1,7 +1,7 @@
 """From a robot's joint states to the monitor's torques at a third process, over ROS 2 on the loopback interface.
 
-    python packages/ros2/benchmarks/latency.py [--minutes 1] [--core N] [--priority P] [--reliability reliable]
-        [--json FILE]
+    python packages/ros2/benchmarks/latency.py [--minutes 1] [--core N] [--priority P]
+        [--reliability reliable]
 
 Three processes: one publishes seven joints at 1 kHz, one runs the monitor as `tauext monitor --source ros2` does, one
 takes the torques. Each writes down by CLOCK_MONOTONIC when it published or received the sample of every stamp; the
@@ -14,7 +14,6 @@ A sample is lost where the monitor or the third process never received what was 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -26,16 +25,15 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 import seven_axis
+from common import about_run, arguments, head, table_row
 
-from tauext.files.provenance import machine
 from tauext.monitor.latency import ask_for_real_time
 
 SPACE, TOPIC, DOMAIN = "/latency", "/latency/joint_states", 91
 PERIOD_NS = 1_000_000
 SETTLE_S = 5.0
 SILENT_S = 3.0
-SHARES = (0.5, 0.99, 0.999)
-AIM_P50_MS, AIM_P99_MS = 1.0, 3.0
+SHARES = (0.5, 0.99, 0.999, 1.0)
 LOOPBACK = (
     "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo'/></Interfaces>"
     "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
@@ -45,12 +43,9 @@ ROLES = ("monitor", "peer", "robot")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = arguments(__doc__, loop=True)
     parser.add_argument("--minutes", type=float, default=1.0)
-    parser.add_argument("--core", type=int, default=None)
-    parser.add_argument("--priority", type=int, default=None)
     parser.add_argument("--reliability", choices=("best-effort", "reliable"), default="best-effort")
-    parser.add_argument("--json", type=Path)
     parser.add_argument("--role", choices=ROLES, help=argparse.SUPPRESS)
     parser.add_argument("--out", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -146,16 +141,9 @@ def run_monitor(options: argparse.Namespace) -> None:
     loop = Loop(seven_axis.bundle(), source, [publisher, log])
     loop.note = lambda text: print("monitor:", text)
     loop.run()
-    counts = source.counts
-    np.savez(
-        options.out,
-        stamps=np.array(log.stamps, np.int64),
-        times=np.array(log.received, np.int64),
-        told=np.array(log.told, np.int64),
-        lost=counts.lost,
-        missing=loop.missing,
-        unsent=publisher.unsent,
-    )
+    columns = {"stamps": log.stamps, "times": log.received, "told": log.told}
+    counts = {"missing": loop.missing, "unsent": publisher.unsent}
+    np.savez(options.out, **{name: np.array(one, np.int64) for name, one in columns.items()}, **counts)
 
 
 def run_peer(options: argparse.Namespace) -> None:
@@ -191,37 +179,12 @@ def show(logs: dict[str, dict], options: argparse.Namespace) -> None:
         "reception to torque sent (a tick)": (monitor["told"] - monitor["times"])[in_monitor[both]] * 1e-6,
         "publication, after it was due": robot["late"][counted] * 1e-6,
     }
-    result = {
-        "machine": machine(),
-        "minutes": options.minutes,
-        "reliability": options.reliability,
-        "core": options.core,
-        "priority": options.priority,
-        "published": len(sent),
-        "lost_before_the_monitor": int((~at_monitor).sum()),
-        "lost_after_it": int((at_monitor & ~at_peer).sum()),
-        "missing": int(monitor["missing"]),
-        "unsent": int(monitor["unsent"]),
-        "times_ms": {
-            name: {str(share): float(np.quantile(t, share)) for share in SHARES} | {"max": float(t.max())}
-            for name, t in times_ms.items()
-        },
-    }
-    print(
-        f"{result['machine']}; {len(sent)} samples at 1 kHz, seven joints, {options.reliability}; core {options.core}"
-    )
-    print(
-        f"lost: {result['lost_before_the_monitor']} before the monitor, {result['lost_after_it']} after it; "
-        f"missing in time: {result['missing']}; unsent: {result['unsent']}"
-    )
-    print(f"{'[ms]':36}" + "".join(f"{f'p{100 * share:g}':>9}" for share in SHARES) + f"{'max':>9}")
-    for name, quantiles in result["times_ms"].items():
-        print(f"{name:36}" + "".join(f"{value:9.3f}" for value in quantiles.values()))
-    reached = result["times_ms"]["reception to torque at the peer"]
-    for share, aim in (("0.5", AIM_P50_MS), ("0.99", AIM_P99_MS)):
-        print(f"aim p{float(share) * 100:g} <= {aim:g} ms: {'met' if reached[share] <= aim else 'missed'}")
-    if options.json:
-        options.json.write_text(json.dumps(result, indent=1) + "\n")
+    print(f"{about_run()}; {len(sent)} samples at 1 kHz, seven joints, {options.reliability}; core {options.core}")
+    lost = (~at_monitor).sum(), (at_monitor & ~at_peer).sum(), monitor["missing"], monitor["unsent"]
+    print("lost: {} before the monitor, {} after it; missing in time: {}; unsent: {}".format(*lost))
+    print("\n".join(head("ms | p50 | p99 | p99.9 | max")))
+    for name, ms in times_ms.items():
+        print(table_row(name, *(f"{one:.3f}" for one in np.quantile(ms, SHARES))))
 
 
 def where(sent: np.ndarray, got: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -190,7 +190,7 @@ def backlash_model(arm: ServoArm, held: _core.Load | None = None) -> mujoco.MjMo
     return model
 
 
-# --- The arm stepped tick by tick of its servos' own loop: benchmarks/unseen/servo_steps.cpp in NumPy.
+# --- The arm stepped tick by tick of its servos' own loop: servo_steps.cpp of benchmarks/unseen in NumPy.
 
 
 STEPS_A_TICK = PHYSICS_HZ // TICKS_HZ

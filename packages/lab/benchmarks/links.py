@@ -1,0 +1,315 @@
+"""Which link is touched and where: touches on every link of simulated arms, and on a Panda that stands.
+
+    python packages/lab/benchmarks/links.py MODELS UNSEEN OUT [--arms panda kinova seven_axis]
+      [--meshes panda=ROBOT ...] [--touches 200] [--seed 0]
+    python packages/lab/benchmarks/links.py MODELS UNSEEN OUT --panda DATASET BUNDLES [--meshes panda=ROBOT]
+
+MODELS: folder of the robot files. UNSEEN: what unseen_arms.py wrote; a bundle is trained on each arm's datasets where
+OUT has none. ROBOT: the arm's robot file with its meshes in the folders above: touches on the meshes, too. OUT gets the
+bundles, links.json and links.md.
+
+--panda: recordings of a Panda at rest and bundles, as real_arms.py makes them (panda/data, a file a touched link with
+labels and the robot's own estimate; panda/bundles). Links are found by the bundle of recipe observer, with the standard
+error of its own limits; by the robot's own estimate, with that of its samples without a touch.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
+
+from common import arguments, estimates, head, runs, short, table_row, trained, write_tables
+from made_live import replay
+from unseen.arms import Maker, arm_of, makers
+from unseen.recordings import logged, nm_per_given
+from unseen.simulation import RATE_HZ, Contact, draw_motion, simulate
+from unseen.surfaces import SURFACES, Cylinder, Triangles, capsules_of, draw_touch, triangles_of
+
+from tauext import _core
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording
+from tauext.monitor.touch_place import STATED, PlaceChange, PlaceFinder, run_of
+from tauext.robot.capsules import link_capsules
+from tauext.robot.read import load_tree
+
+GIVEN, GUESSED, THIN, MESHES = "given", "guessed", "5 cm capsules", "meshes"
+Shapes = dict[str, list[_core.Capsule]]
+"""What a bundle may know of an arm's surface; GUESSED: nothing."""
+
+
+@dataclass(frozen=True)
+class Arm:
+    maker: Maker
+    bundle: _core.Bundle
+    title: str
+    surface: Sequence[Cylinder | Triangles]
+    shapes: Shapes
+
+
+def ready(models: Path, unseen: Path, out: Path, name: str) -> Arm:
+    """With a bundle of recipe prior, trained where there is none."""
+    maker = makers(models)[name]
+    bundle = _core.Bundle.load(str(trained(unseen / name / "urdf", out / f"{name}.tauext")))
+    shapes = {GIVEN: capsules_of(SURFACES[name]), GUESSED: [], THIN: thin_capsules(bundle)}
+    return Arm(maker, bundle, name, SURFACES[name], shapes)
+
+
+def meshed(arm: Arm, model: Path) -> Arm:
+    """The arm with the meshes of this robot file for surfaces, and the capsules that an import fits to them."""
+    shapes = {MESHES: mesh_capsules(model, list(arm.maker.joints)), GUESSED: [], THIN: arm.shapes[THIN]}
+    return replace(arm, title=f"{arm.title}, meshes", surface=triangles_of(model, arm.maker.joints), shapes=shapes)
+
+
+def mesh_capsules(model: Path, joints: list[str]) -> list[_core.Capsule]:
+    capsules, lost = link_capsules(model, load_tree(model, joints))
+    assert not lost, lost
+    return capsules
+
+
+def thin_capsules(bundle: _core.Bundle) -> list[_core.Capsule]:
+    """A guess without a spread, to compare with: capsules of 5 cm from each joint to the joints that it carries, else
+    to the load frame, else to the farthest frame that the robot file fixes to the link."""
+    found, origin = [], [0.0, 0.0, 0.0]
+    for number in range(bundle.joints):
+        ends = [link.translation for link in bundle.links if link.parent == number]
+        if not ends and bundle.load_settings.link == number:
+            ends = [bundle.load_settings.translation]
+        if not ends:
+            fixed = [frame.translation for frame in bundle.wrench_settings.frames if frame.link == number]
+            ends = [max([origin, *fixed], key=np.linalg.norm)]
+        found += [_core.Capsule(number, origin, end, 0.05) for end in ends]
+    return found
+
+
+# --- Touches on every link of a simulated arm, and what the monitor reports of them.
+
+
+SLOT_S, FIRST_S, HELD_S = 3.0, 8.0, 1.2
+ACKNOWLEDGED_S = 1.4
+"""After the alarm: a touch's own has ended by then, and the next finds none."""
+RATIOS = (1.5, 10.0)
+"""Of the limit that a touch exceeds most, even in its logarithm."""
+FORCES_N = (8.0, 120.0)
+"""Less is no touch that matters; more takes a small arm's drives to their limits."""
+SEED, WARM_S = 0, 660.0
+"""Of the arms that the datasets were made with; how long they have run."""
+REPORTED_AT_S = 0.5
+"""After the alarm: the last result by then counts."""
+
+
+@dataclass(frozen=True)
+class Touch:
+    """In the link's axes."""
+
+    link: int
+    point_m: np.ndarray
+    direction: np.ndarray
+    angle_rad: float
+    force_n: float
+    start_s: float
+
+    def contact(self) -> Contact:
+        when, along, at = (self.start_s, self.start_s + HELD_S), self.direction.tolist(), self.point_m.tolist()
+        return Contact("push", *when, self.link, 0.5, tuple(along), self.force_n, when, tuple(at), in_link=True)
+
+
+def judged(arm: Arm, options: argparse.Namespace) -> list[dict]:
+    """One row a touch and kind of shapes, with what is reported of it."""
+    rng = np.random.default_rng([options.seed, 61, arm.bundle.joints])
+    maker, real = arm.maker, arm_of(arm.maker, SEED)
+    setpoints = draw_motion(maker, round((FIRST_S + options.touches * SLOT_S) * RATE_HZ), RATE_HZ, rng)
+    touches = [
+        drawn(arm, setpoints[0], FIRST_S + k * SLOT_S + rng.uniform(0, 0.8), rng) for k in range(options.touches)
+    ]
+    contacts = [one.contact() for one in touches]
+    run = simulate(real, load_tree(maker.model, maker.joints), setpoints, maker.torque_nm, contacts, WARM_S)
+    constants = real.nm_per_ampere / nm_per_given(maker, SEED)
+    made = argparse.Namespace(**logged(maker, real, run, constants, rng), temperature=None)
+    true_nm, said = run.tau_ext[:: RATE_HZ // maker.rate_hz], estimates(arm.bundle, made)
+    rows = []
+    for shapes, capsules in arm.shapes.items():
+        arm.bundle.capsules = capsules
+        finder, changes = PlaceFinder(arm.bundle), []
+        assert not finder.refused, finder.refused
+        for chunk in replay(_core.Monitor(arm.bundle), made, acknowledge_after_s=ACKNOWLEDGED_S, places=finder):
+            changes += [change for change in chunk.changes if isinstance(change, PlaceChange)]
+        rows += [{"shapes": shapes} | row_of(arm, touch, made, true_nm, said, changes) for touch in touches]
+    return rows
+
+
+def drawn(arm: Arm, q: np.ndarray, start_s: float, rng: np.random.Generator) -> Touch:
+    """A touch on any link, at a point of its surface, that exceeds a limit by a ratio drawn from RATIOS."""
+    model, limits = _core.WrenchModel(arm.bundle), np.array(arm.bundle.sliding_limit_nm)
+    pose = q[round((start_s + 0.5) * RATE_HZ)]
+    while True:
+        link = int(rng.integers(arm.bundle.joints))
+        for _ in range(20):  # a link that no joint feels there is left for another one
+            point, direction, angle = draw_touch(arm.surface, link, np.radians(45), rng)  # friction of 1
+            name = arm.bundle.links[link].joint_name
+            columns = model.columns(name, pose.tolist(), point.tolist(), _core.WrenchAxes.frame)[:3]
+            force = np.exp(rng.uniform(*np.log(RATIOS))) / max(np.abs(direction @ columns / limits).max(), 1e-9)
+            if FORCES_N[0] <= force <= FORCES_N[1]:
+                return Touch(link, point, direction, angle, float(force), start_s)
+
+
+def row_of(
+    arm: Arm, touch: Touch, made: argparse.Namespace, true_nm: np.ndarray, said: dict, changes: list[PlaceChange]
+) -> dict:
+    """What is reported of a touch by REPORTED_AT_S after its alarm."""
+    start_ns = round(touch.start_s * 1e9) + int(made.t_ns[0])
+    own = [
+        one
+        for one in changes
+        if 0 <= one.t_ns - one.since_s * 1e9 - start_ns < HELD_S * 1e9 and one.since_s <= REPORTED_AT_S
+    ]
+    row = {"arm": arm.title, "link": touch.link, "force_n": touch.force_n, "seen": bool(own)}
+    row["angle_deg"] = float(np.degrees(touch.angle_rad))
+    if not own:
+        return row
+    last = own[-1]
+    strength = np.square(said["tau_ext"] / said["sigma_nm"]).sum(axis=1)
+    first = int(np.searchsorted(made.t_ns, last.t_ns - round(last.since_s * 1e9)))
+    at = first + int(np.nanargmax(strength[first : last.row + 1]))
+    sample = (made.q[at].tolist(), *(said[key][at].tolist() for key in ("tau_ext", "sigma_nm", "contact_sigma_nm")))
+    place = _core.PlaceModel(arm.bundle).find(*sample, link=touch.link, dq=made.dq[at].tolist()).places[0]
+    probability = [0.0] * arm.bundle.joints
+    for link, share in last.links:
+        probability[link] = share
+    return row | {
+        "probability": probability,
+        "off_m": float(np.linalg.norm(np.subtract(place.on_link, touch.point_m))),
+        "spread_m": place.spread_m,
+        "off_n": abs(float(np.linalg.norm(place.force)) - touch.force_n),
+        "ratio": float(np.abs(true_nm[at] / said["limit_nm"][at]).max()),
+    }
+
+
+# --- Touches of people on a Panda that stands, at the sample of each that shows most.
+
+
+TOUCHED = {"a4": 7, "a6": 7, "b8": 6, "b9": 6, "c3": 5, "d3": 4, "f2": 2, "f4": 2}
+"""Link that people touched in each recording, from 1."""
+
+
+def panda_rows(data: Path, bundles: Path, robot: Path | None) -> list[dict]:
+    """One row a touch, estimate and kind of shapes."""
+    arm = _core.Bundle.load(str(bundles / "observer.tauext"))
+    shapes = {GIVEN: capsules_of(SURFACES["panda"]), GUESSED: [], THIN: thin_capsules(arm)}
+    if robot is not None:
+        shapes[MESHES] = mesh_capsules(robot, [link.joint_name for link in arm.links])
+    recordings = {name: load_recording(data / f"{name}.parquet") for name in TOUCHED}
+    ours = {name: estimates(arm, one)["tau_ext"] for name, one in recordings.items()}
+    own = {name: one.tau_ext for name, one in recordings.items() if one.tau_ext is not None}
+    free = np.concatenate([own[name][free_rows(recordings[name])] for name in own])
+    near = np.array(arm.error_scale.sigma_near_weights)
+    ways = {"observer": (ours, near), "the robot's own estimate": (own, np.sqrt(np.nanmean(free**2, axis=0)))}
+    rows = []
+    for kind, capsules in shapes.items():
+        arm.capsules = capsules
+        model = _core.PlaceModel(arm)
+        assert not model.refused, model.refused
+        for way, (tau_ext, sigma) in ways.items():
+            for name, one in recordings.items():
+                found = [located(model, one, rows, tau_ext[name], sigma) for rows in touches_of(one)]
+                rows += [
+                    {"arm": way, "shapes": kind, "link": TOUCHED[name] - 1, "seen": True, "probability": probability}
+                    for probability in found
+                    if probability is not None
+                ]
+    return rows
+
+
+def located(
+    model: _core.PlaceModel, one: Recording, rows: slice, tau_ext: np.ndarray, sigma: np.ndarray
+) -> list[float] | None:
+    """Probability of each link; None: no estimate."""
+    tau = tau_ext[rows]
+    strength = np.square(tau / sigma).sum(axis=1)
+    if not np.isfinite(strength).any():
+        return None
+    at = int(np.nanargmax(strength))
+    return list(model.find(one.q[rows][at].tolist(), tau[at].tolist(), sigma.tolist(), places=False).probability)
+
+
+def touches_of(recording: Recording) -> list[slice]:
+    """Rows of each labelled touch; labels begin up to 0.1 s before a touch shows."""
+    late = round(0.1 * recording.rate_hz)
+    return [slice(begin, end + late) for begin, end in runs(np.asarray(recording.contact) > 0)]
+
+
+def free_rows(recording: Recording) -> np.ndarray:
+    """Samples that no touch is within 0.15 s of."""
+    reach = round(0.15 * recording.rate_hz)
+    near = np.convolve(np.asarray(recording.contact) > 0, np.ones(2 * reach + 1), "same") > 0
+    near[: 2 * reach] = True  # the observer begins
+    return ~near
+
+
+COLUMNS = "touches | alarms | right | among two | stated | of these right | link or run | of these right"
+
+
+def cells(rows: list[dict]) -> list[object]:
+    """Shares of touches whose link was found, of those with an alarm."""
+    seen = [row for row in rows if row["seen"]]
+    ranked = [np.argsort(-np.array(row["probability"])).tolist() for row in seen]
+    right = np.array([order[0] == row["link"] for order, row in zip(ranked, seen, strict=True)])
+    two = np.mean([row["link"] in order[:2] for order, row in zip(ranked, seen, strict=True)])
+    sure = np.array([max(row["probability"]) >= STATED for row in seen])
+    held = []
+    for order, row in zip(ranked, seen, strict=True):
+        first, last, share = run_of([(k, row["probability"][k]) for k in order])
+        held += [first <= row["link"] <= last] * (share >= STATED)
+    of_sure, of_held = (np.mean(one) if len(one) else np.nan for one in (right[sure], held))
+    shares = (right.mean(), two, sure.mean(), of_sure, len(held) / len(seen), of_held)
+    return [len(rows), len(seen), *(f"{share:.0%}" for share in shares)]
+
+
+def tables(rows: list[dict]) -> list[str]:
+    """By arm and shapes; of simulated touches also places, and links by strength."""
+    lines = head(f"arm | shapes | {COLUMNS}")
+    arms = [*dict.fromkeys(row["arm"] for row in rows), "**all**"]
+    groups = [(arm, shapes, [row for row in rows if row["shapes"] == shapes and arm in (row["arm"], "**all**")])
+              for arm in arms for shapes in dict.fromkeys(row["shapes"] for row in rows)]  # fmt: skip
+    groups = [(*names, of) for *names, of in groups if of]
+    lines += [table_row(arm, shapes, *cells(of)) for arm, shapes, of in groups]
+    if "ratio" not in next(row for row in rows if row["seen"]):
+        return lines
+    lines += ["", *head("arm | shapes | places | distance, cm: median | 90 % | spread, cm | force error, N")]
+    for arm, shapes, of in groups:
+        placed = [row for row in of if row["seen"] and row["force_n"] >= 20 and row["angle_deg"] <= 30]
+        off = 100 * np.quantile([row["off_m"] for row in placed], (0.5, 0.9))
+        spread, force = (np.median([row[key] for row in placed]) for key in ("spread_m", "off_n"))
+        numbers = (f"{one:.1f}" for one in (*off, 100 * spread, force))
+        lines.append(table_row(arm, shapes, len(placed), *numbers))
+    lines += ["", *head(f"ratio of the true torque to a limit | {COLUMNS}")]
+    for low, high in ((0, 2), (2, 4), (4, 7), (7, 99)):
+        of = [row for row in rows if row["shapes"] == GIVEN and row["seen"] and low <= row["ratio"] < high]
+        lines += [table_row(f"{low} to {high}", *cells(of))] if of else []
+    return lines
+
+
+def main() -> None:
+    parser = arguments(__doc__, "models", "unseen", "out", arms=("panda", "kinova", "seven_axis"), seed=0)
+    parser.add_argument("--meshes", nargs="+", default=[], help="robot files with meshes, each as ARM=FILE")
+    parser.add_argument("--touches", type=int, default=200, help="an arm")
+    parser.add_argument("--panda", type=Path, nargs=2, metavar=("DATASET", "BUNDLES"), help="the Panda at rest alone")
+    options = parser.parse_args()
+    robots = {name: Path(model) for name, _, model in (one.partition("=") for one in options.meshes)}
+    if options.panda:
+        rows = panda_rows(*options.panda, robots.get("panda"))
+    else:
+        arms = {name: ready(options.models, options.unseen, options.out, name) for name in {*options.arms, *robots}}
+        rows = [row for name in options.arms for row in judged(arms[name], options)]
+        rows += [row for name, model in robots.items() for row in judged(meshed(arms[name], model), options)]
+    write_tables(options.out, tables(rows), short(rows), "panda_touches" if options.panda else "links")
+
+
+if __name__ == "__main__":
+    main()

@@ -15,12 +15,14 @@ from tauext_lab.sim.collect import simulate_recording
 from tauext_lab.sim.config import RigConfig
 from tauext_lab.sim.rig import arm_xml
 
-from tauext.check.arrangement import fit_load, with_load
 from tauext.check.checks import CHECKS, NEEDS, STEPS
+from tauext.check.effort import pose_findings
+from tauext.check.examination import Examination
 from tauext.check.examine import examine
 from tauext.check.finding import CODES
 from tauext.check.joint_fit import fit_joint, presliding, rows_of
-from tauext.check.motion import compare, pose_findings, stretches
+from tauext.check.motion import compare, stretches
+from tauext.check.robot_file import fit_load, with_load
 from tauext.cli import main
 from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
@@ -155,9 +157,9 @@ def test_axis_along_gravity_has_no_offset(tmp_path):
 def test_sign_at_rest_is_reported_of_loaded_joints_alone(six):
     recordings, _ = standing(six, [-1.0] * 6)
     loads = np.abs(six.tree.momentum(np.stack([r.q[0] for r in recordings]), np.zeros((4, 6)))[1]).max(axis=0)
-    found = [f.joint for f in pose_findings(recordings, six.tree, recordings[0].joints)]
+    found = [f.joint for f in pose_findings(Examination(recordings, tree=six.tree))]
     assert {f"joint{j + 1}" for j in np.flatnonzero(loads > 0.5 * loads.max())} <= set(found)
-    assert not pose_findings(standing(six, [1.0] * 6)[0], six.tree, recordings[0].joints)
+    assert not list(pose_findings(Examination(standing(six, [1.0] * 6)[0], tree=six.tree)))
 
 
 @pytest.mark.slow
@@ -185,7 +187,7 @@ def test_friction_that_holds_the_arm_has_no_sign_of_gravity(six):
     recordings, _ = standing(six, [1.0] * 6)
     held = [replace(r, tau=-0.05 * r.tau) for r in recordings[:1]]
     little = [replace(r, tau=r.tau * np.where(np.arange(6) == 1, -0.05, 1.0)) for r in recordings[:1]]
-    assert "joint2" not in {f.joint for f in pose_findings(little, six.tree, recordings[0].joints)}
+    assert "joint2" not in {f.joint for f in pose_findings(Examination(little, tree=six.tree))}
     assert examine(held).findings  # without a model: that nothing moves
     assert "effort-sign" not in {f.code for f in examine(held).findings}
 

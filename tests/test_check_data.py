@@ -13,7 +13,7 @@ from made_recordings import made_motion
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
-from tauext.check.before_training import MOST_MOVING_S, folder, refuse_faults, shares
+from tauext.check.before_training import SHARE, ShareRules, folder, refuse_faults, shares
 from tauext.check.finding import CODES, Finding
 from tauext.cli import main
 from tauext.config import AlarmConfig, TrainConfig
@@ -206,8 +206,7 @@ def test_labelled_contacts_are_left_out_and_no_fault(data, tmp_path, capsys):
 
 def test_contacts_are_searched_for_beyond_the_share_that_all_checks_read(data, tmp_path, monkeypatch):
     """A push of 0.3 s at the end of one recording, once with a label that comes 0.5 s late, once with the right one."""
-    monkeypatch.setattr("tauext.check.before_training.MOST_MOVING_S", 20.0)
-    monkeypatch.setattr("tauext.check.before_training.LEAST_MOVING_S", 8.0)
+    monkeypatch.setattr("tauext.check.before_training.SHARE", ShareRules(moving_s=20.0, recording_s=8.0))
     whole = load_recording(data / "one.parquet")
     push = (whole.time_s > 14.0) & (whole.time_s < 14.3)
     tau = whole.tau + 4 * whole.tau.std(axis=0) * push[:, None]
@@ -298,9 +297,9 @@ def moving(seconds: float, still_s: float) -> Recording:
 def test_a_share_of_every_recording_is_checked_and_all_of_it_where_there_is_little():
     little = [moving(60.0, 10.0), moving(60.0, 0.0)]
     assert shares(little) == little
-    much = [moving(0.5 * MOST_MOVING_S, 20.0), moving(4 * MOST_MOVING_S, 0.0), moving(0.5 * MOST_MOVING_S, 5.0)]
+    much = [moving(0.5 * SHARE.moving_s, 20.0), moving(4 * SHARE.moving_s, 0.0), moving(0.5 * SHARE.moving_s, 5.0)]
     seconds = [float((r.dq[:, 0] != 0).sum() / r.rate_hz) for r in shares(much)]
-    assert abs(sum(seconds) - MOST_MOVING_S) < 5.0 and min(seconds) > 0.09 * MOST_MOVING_S
+    assert abs(sum(seconds) - SHARE.moving_s) < 5.0 and min(seconds) > 0.09 * SHARE.moving_s
     assert all(r.t_ns[0] == 0 for r in shares(much))  # so that times are those of the recording
 
 

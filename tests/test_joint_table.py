@@ -9,7 +9,7 @@ from made_arms import six_axis_tree
 from made_recordings import made_motion
 from tauext_lab.report.joint_picture import draw_joints
 
-from tauext.check.joint_table import cells, joint_motions
+from tauext.check.motion import joint_motions, joint_table
 
 
 def test_a_swap_of_two_joints_shows_in_both_correlations(tmp_path):
@@ -25,6 +25,6 @@ def test_a_swap_of_two_joints_shows_in_both_correlations(tmp_path):
         assert torque[j].gravity_correlation < right[j].gravity_correlation
     assert (right[0].low_rad, right[0].high_rad) == (recording.q[:, 0].min(), recording.q[:, 0].max())
     assert np.isnan(joint_motions([recording], None)[1].gravity_correlation)
-    rows = cells(right, "Nm")
+    rows = joint_table(right, "Nm")
     assert [row[0] for row in rows] == ["joint", *recording.joints] and {len(row) for row in rows} == {6}
     assert draw_joints(recording, tree, "Nm", tmp_path / "joints.png").stat().st_size > 10_000

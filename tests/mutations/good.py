@@ -50,7 +50,7 @@ UR3_PUSHED = {"id2-test": (4.3, 36.3), "second10": (3.7, 11.5), "slow": (4.6, 14
 """Runs that nothing was trained on, and when they move and nothing happens to them, [s]."""
 UR3_TIMES = 4
 ALL_KINDS = (
-    "units", "signs", "order", "spikes", "stuck", "delays", "time unit", "zeros", "mixed files", "labels",
+    "units", "signs", "order", "spikes", "stuck", "delays", "time unit", "zeros", "mixed files", "labels"
 )  # fmt: skip
 
 

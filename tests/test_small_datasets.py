@@ -53,6 +53,7 @@ def expect_sound(endings: Iterable[Ending]) -> None:
     assert not [one for one in found if one.fault], summary(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dataset", FEW)
 def test_a_small_dataset_ends_in_a_healthy_bundle_or_one_line(dataset):
     found = of_number(dataset, recipes=["tauext" if dataset == FEW[0] else "prior"])

@@ -107,11 +107,7 @@ class Rejected:
         return RejectedTime(round(self.share, 4), causes, WorstRecording(worst, round(self._shares.get(worst, 0.0), 4)))
 
     def warning(self, motion: str, accept: Collection[str] = (REJECTED,)) -> str:
-        """Message with cause, recording and remedy; empty if few samples are rejected.
-
-        Args:
-            motion: name of the motion, such as `its own training motion`.
-            accept: codes that are accepted.
+        """Message with cause, recording and remedy, if more than a few samples of this motion are rejected; else empty.
 
         Raises:
             TrainingError: more than a fifth is rejected, and REJECTED is not accepted.
@@ -217,12 +213,7 @@ def sentence(entry: dict) -> str:
 
 
 def expect_codes(accept: Sequence[str], joints: Collection[str] | None = None) -> None:
-    """Raise ConfigError for an unknown code or joint.
-
-    Args:
-        accept: CODE or CODE:joint.
-        joints: names of the joints; None: not known yet.
-    """
+    """Raise ConfigError for an unknown code or joint in CODE or CODE:joint; `joints` is None while it is not known."""
     for text in accept:
         code, colon, joint = text.partition(":")
         if code not in codes() and text != REJECTED:
@@ -260,14 +251,10 @@ def expect_accepted(findings: Iterable[Finding], accept: Collection[str], where:
 def refuse_faults(
     results: Mapping[str, Sequence[Finding]], where: str, accept: Sequence[str], report: Reporter
 ) -> dict:
-    """Report warnings and accepted faults, each once; returns them for provenance, as plain JSON.
-
-    Args:
-        results: findings by the set of recordings.
-        where: name of the data, for the message.
+    """Report warnings and accepted faults of each set of recordings; returns them for provenance, as plain JSON.
 
     Raises:
-        FaultyDataError: a fault is not accepted; the message lists all of them.
+        FaultyDataError: a fault is not accepted; the message lists all of them, and where they are.
     """
     findings = [finding for result in results.values() for finding in result]
     how = "`tauext check --out DIR` draws them. To use them unchanged, accept the faults; the bundle records it:"
@@ -342,12 +329,7 @@ def check_training(
 def check_calibration(
     files: Sequence[Path], limits_nm: np.ndarray | None, threads: int, report: Reporter
 ) -> list[Finding]:
-    """Faults and warnings in calibration recordings, by the quick checks; they are cached by content.
-
-    Args:
-        files: the recordings.
-        limits_nm: see check_training().
-    """
+    """Faults and warnings in calibration recordings, by the quick checks; they are cached by content."""
 
     def checked(load: Callable[[], Recording]) -> list[Finding]:
         return quick_checks(load(), limits_nm)

@@ -91,10 +91,8 @@ def repeat_findings(x: Examination) -> Iterator[Finding]:
 # --- Time stamps in another unit than declared, found from motion and velocity.
 
 
-UNITS = (1e3, 1e6, 1e9, 60.0, 3600.0)
-"""Ratios of units of time: seconds, their thousandths and so on, minutes, hours."""
-SLOWEST_HZ, FASTEST_HZ = 5.0, 20_000.0
-"""No training uses fewer samples a second, no arm sends more."""
+UNITS = (1e3, 1e6, 1e9, 60.0, 3600.0)  # ratios of units of time: seconds, their thousandths and so on, minutes, hours
+SLOWEST_HZ, FASTEST_HZ = 5.0, 20_000.0  # no training uses fewer samples a second, no arm sends more
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,7 @@ from tauext.check.robot_file import fit_load, tilted_tree
 GAIN, ZERO_GAIN = 1.0, 2.0
 """Least gain, [nats]: sum over joints of log(error before / after). A shift of a zero of position, torque or time gains
 up to 1.3 by chance, for example if a tool is missing in the model."""
-HALVED, WORSE = 0.6, 1.15
-"""The error of some joint must fall below this ratio, and that of none rise above the other."""
+HALVED, WORSE = 0.6, 1.15  # the error of some joint must fall below this ratio, and that of none rise above the other
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from tauext.check.motion import MOVING_RAD_S, Stretch
 from tauext.data.recording import Recording
 from tauext.data.servo import in_amperes
 
-NEGATE = "negate the effort at import (`sign = -1` in [signals.tau])"
-"""Remedy of every `effort-sign`."""
+NEGATE = "negate the effort at import (`sign = -1` in [signals.tau])"  # remedy of every `effort-sign`
 
 # --- Sign of a joint's torque, from friction, inertia and gravity.
 
@@ -213,8 +212,7 @@ def kind_findings(x: Examination) -> tuple[list[Finding], list[int]]:
     return found, left
 
 
-LOW, HIGH = 0.7, 1.45
-"""Good torques have factors in this range, given payload, cables and rough models."""
+LOW, HIGH = 0.7, 1.45  # good torques have factors in this range, given payload, cables and rough models
 
 
 def scale_findings(x: Examination, judged: Sequence[int]) -> list[Finding]:
@@ -242,9 +240,7 @@ def scale_findings(x: Examination, judged: Sequence[int]) -> list[Finding]:
 
 def torque_lags(motion: Sequence[Stretch], rows: FitRows) -> list[tuple[float, float, float]]:
     """Per joint: lag of least error [s], that error as a share of the one at lag 0, and the share explained there.
-
-    Without a model gravity is known roughly, and an error that falls up to the largest lag is no delay: share 1.
-    """
+    Without a model gravity is known roughly, and an error that falls up to the largest lag is no delay: share 1."""
     lags = np.linspace(-0.1, 0.1, 21)
     torques, found = [joint_fit.torque_rows(motion, lag) for lag in lags], []
     for j in range(rows.joints):
@@ -273,10 +269,8 @@ def torque_lags(motion: Sequence[Stretch], rows: FitRows) -> list[tuple[float, f
 
 
 def delay_findings(x: Examination) -> Iterator[Finding]:
-    """Findings of delays; corrects the lag that most joints have in common.
-
-    Filter and bus cycle cause 1 to 5 ms, presliding and elasticity more; friction at reversals lowers the error, too.
-    """
+    """Findings of delays; corrects the lag that most joints have in common. Filter and bus cycle cause 1 to 5 ms,
+    presliding and elasticity more; friction at reversals lowers the error, too."""
     x.lags = torque_lags(x.motion, x.rows)
     if x.moving_s < SEARCH_S:
         return

@@ -199,12 +199,7 @@ def as_text(diagnosis: Diagnosis) -> str:
 
 
 def as_files(diagnosis: Diagnosis, recordings: Iterable[str], without_model: bool) -> tuple[str, dict]:
-    """Contents of check.txt and check.json.
-
-    Args:
-        recordings: names of the examined recordings.
-        without_model: whether they were checked without a robot file.
-    """
+    """Contents of check.txt and check.json, of recordings of these names."""
     text = as_text(diagnosis)
     if without_model:
         text = f"no robot model: order, scale, gravity and payload cannot be checked\n{text}"
@@ -280,23 +275,14 @@ def gather(
 
 
 def quick_checks(recording: Recording, torque_limits_nm: np.ndarray | None) -> list[Finding]:
-    """Check one recording for unsigned efforts, clock, spikes, stuck signals, degrees and unit of time.
-
-    Args:
-        torque_limits_nm: (joints,), infinite where the robot file has none; None: no robot file.
-    """
+    """Check one recording for unsigned efforts, clock, spikes, stuck signals, degrees and unit of time."""
     x = Examination([recording], torque_limits_nm=torque_limits_nm)
     found = run((check for check in CHECKS if check.quick), x, lambda step: None)
     return sorted((replace(f, recording=recording.name) for f in found), key=lambda f: SEVERITIES.index(f.severity))
 
 
 def unlabelled_contacts(recordings: Sequence[Recording], diagnosis: Diagnosis) -> list[Finding]:
-    """Find contacts without a label, as examine() does, on all of the recordings.
-
-    Args:
-        recordings: of the same joints.
-        diagnosis: of a share of them, without a fault.
-    """
+    """Find contacts without a label, as examine() does, on all recordings of a share of which the diagnosis is."""
     normal = normal_ranges(recordings)
     corrected = [without_spikes(r, spikes_of(r, normal)) for r in recordings]
     return unlabelled_findings(corrected, diagnosis.tree, diagnosis.lag_s)

@@ -160,11 +160,7 @@ class Check:
 
 @cache
 def added() -> dict[str, Check]:
-    """The checks of packages by name.
-
-    Raises:
-        ConfigError: one cannot be loaded.
-    """
+    """The checks of packages by name; ConfigError: one cannot be loaded."""
     return plugins.every(plugins.CHECKS, Check)
 
 

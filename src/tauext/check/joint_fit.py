@@ -19,10 +19,8 @@ PRESLIDING_RAD = (5e-4, 5e-3)
 """Travel over which friction reverses. Presliding states keep their value at rest, where sign(speed) is 0. Without them
 the fit would assign friction at rest to gravity."""
 FRICTION = 2 + len(COULOMB_SPEEDS_RAD_S) + len(PRESLIDING_RAD)  # constant, viscous, Coulomb, presliding
-CONSTANT = 3
-"""Column of the constant: gravity, inertial torque and acceleration come before it."""
-RESISTS = slice(CONSTANT + 1, CONSTANT + FRICTION)
-"""Columns of friction without the constant."""
+CONSTANT = 3  # column of the constant: gravity, inertial torque and acceleration come before it
+RESISTS = slice(CONSTANT + 1, CONSTANT + FRICTION)  # columns of friction without the constant
 
 
 @dataclass(frozen=True)
@@ -154,14 +152,10 @@ def delayed(x: np.ndarray, lag_s: float, rate_hz: float) -> np.ndarray:
 # --- Robust least squares of one joint's torque on its parts, with jackknife errors.
 
 
-BLOCKS = 10
-"""Number of blocks of time, left out in turn, since errors of neighbouring rows are correlated."""
-HUBER = 2.0
-"""Rows with an error above twice the robust spread get less weight, so that a bump does not change a sign."""
-SEEN = 0.02
-"""A model torque is ignored if its spread is a smaller share of the measured torque's spread."""
-LEAST_ROWS = 100
-"""Four seconds: fewer rows than that cannot be fitted."""
+BLOCKS = 10  # number of blocks of time, left out in turn, since errors of neighbouring rows are correlated
+HUBER = 2.0  # rows with an error above twice the robust spread get less weight, so that a bump does not change a sign
+SEEN = 0.02  # A model torque is ignored if its spread is a smaller share of the measured torque's spread
+LEAST_ROWS = 100  # four seconds: fewer rows than that cannot be fitted
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,13 @@ import numpy as np
 from tauext._core import Tree
 from tauext.data.recording import Recording
 
-MOVING_RAD_S = 0.02
-"""Speed below which a joint rests."""
+MOVING_RAD_S = 0.02  # speed below which a joint rests
 DEGREES = 180 / math.pi
 
 # --- Filters.
 
 
-PADDED_ROWS = 9
-"""Number of samples that pad the filter at either end."""
+PADDED_ROWS = 9  # number of samples that pad the filter at either end
 
 
 def low_pass(x: np.ndarray, cutoff_hz: float, rate_hz: float) -> np.ndarray:
@@ -99,11 +97,7 @@ class Stretch:
 
 
 def stretches(recordings: Iterable[Recording], contacts: bool = False) -> list[Stretch]:
-    """Evenly sampled stretches of at least 2 s, without repeated rows and labelled contacts.
-
-    Args:
-        contacts: keep labelled contacts.
-    """
+    """Evenly sampled stretches of at least 2 s, without repeated rows and, unless kept, labelled contacts."""
     found, start_s = [], 0.0
     for number, recording in enumerate(recordings):
         for rows in _whole(recording, contacts):
@@ -165,8 +159,7 @@ def _even(recording: Recording, rows: np.ndarray, t: np.ndarray, number: int, st
 
 
 LEAST_CORRELATION = 0.9
-LEAST_SPEED_RAD_S = 0.02
-"""Least RMS of the velocity for a comparison, [rad/s]; below is noise."""
+LEAST_SPEED_RAD_S = 0.02  # least RMS of the velocity for a comparison, [rad/s]; below is noise
 
 
 @dataclass(frozen=True)
@@ -179,10 +172,8 @@ class VelocityFit:
 
 
 def compare(stretches: Sequence[Stretch], joint: int, of: int | None = None) -> VelocityFit | None:
-    """Compare the recorded velocity of `joint` with the derivative of position of joint `of`, itself if None.
-
-    None: the joint does not move. If it moves slowly, a fit needs a much faster recorded velocity that correlates.
-    """
+    """Compare the recorded velocity of `joint` with the derivative of position of joint `of`, itself if None. None: the
+    joint does not move. If it moves slowly, a fit needs a much faster recorded velocity that correlates."""
     of = joint if of is None else of
     rate = float(np.median([s.rate_hz for s in stretches]))
     reach = max(2, math.ceil(0.2 * rate))
@@ -220,37 +211,8 @@ def compare(stretches: Sequence[Stretch], joint: int, of: int | None = None) -> 
 # --- What each joint of a recording did, at a glance: a swap of joints or columns shows in two correlations.
 
 
-@dataclass(frozen=True)
-class JointMotion:
-    """Motion and torque of one joint."""
-
-    name: str
-    low_rad: float
-    high_rad: float
-    speed_rad_s: float  # largest speed
-    torque: float  # largest torque, in the recording's unit
-    velocity_correlation: float  # correlation of the velocity with the derivative of the position; NaN at rest
-    gravity_correlation: float
-    """Correlation of the torque with the model's gravity; NaN without a model, or where gravity stays the same."""
-
-    def cells(self) -> list[str]:
-        shares = (self.velocity_correlation, self.gravity_correlation)
-        return [
-            self.name,
-            f"{self.low_rad:.2f} to {self.high_rad:.2f}",
-            f"{self.speed_rad_s:.2f}",
-            f"{self.torque:.3g}",
-            *("-" if np.isnan(share) else f"{share:.2f}" for share in shares),
-        ]
-
-
-def joint_motions(recordings: Sequence[Recording], tree: Tree | None) -> list[JointMotion]:
-    """Motion and torque of every joint, over the first ten minutes of the recordings.
-
-    Args:
-        recordings: of the same joints, at least one.
-        tree: model of the same joints; None: there is none.
-    """
+def joint_table(recordings: Sequence[Recording], tree: Tree | None, torque_unit: str) -> list[list[str]]:
+    """Motion and torque of every joint over the first ten minutes, as cells; the heading comes first."""
     before_s = np.cumsum([0.0, *(r.duration_s for r in recordings[:-1])])
     shown = [r for r, passed_s in zip(recordings, before_s, strict=True) if passed_s <= 600.0]
     rows = [_differences(one, 20_000 // len(shown)) for one in shown]
@@ -258,24 +220,12 @@ def joint_motions(recordings: Sequence[Recording], tree: Tree | None) -> list[Jo
     gravity = np.zeros_like(q) if tree is None else tree.momentum(q, np.zeros_like(q))[1]
     low, high = np.min([r.q.min(axis=0) for r in shown], axis=0), np.max([r.q.max(axis=0) for r in shown], axis=0)
     speed, torque = np.max([[np.abs(r.dq).max(axis=0), np.abs(r.tau).max(axis=0)] for r in shown], axis=0)
-    return [
-        JointMotion(
-            joint,
-            float(low[j]),
-            float(high[j]),
-            float(speed[j]),
-            float(torque[j]),
-            _correlation(dq[:, j], slopes[:, j]),
-            _correlation(tau[:, j], gravity[:, j]),
-        )
-        for j, joint in enumerate(shown[0].joints)
-    ]
-
-
-def joint_table(motions: Sequence[JointMotion], torque_unit: str) -> list[list[str]]:
-    """The table as text, its heading first."""
-    head = ["joint", "range rad", "speed rad/s", f"torque {torque_unit}", "dq ~ dq/dt", "tau ~ gravity"]
-    return [head, *(one.cells() for one in motions)]
+    table = [["joint", "range rad", "speed rad/s", f"torque {torque_unit}", "dq ~ dq/dt", "tau ~ gravity"]]
+    for j, joint in enumerate(shown[0].joints):
+        shares = (_correlation(dq[:, j], slopes[:, j]), _correlation(tau[:, j], gravity[:, j]))
+        moved = [f"{low[j]:.2f} to {high[j]:.2f}", f"{speed[j]:.2f}", f"{torque[j]:.3g}"]
+        table.append([joint, *moved, *("-" if np.isnan(share) else f"{share:.2f}" for share in shares)])
+    return table
 
 
 def _differences(recording: Recording, most: int) -> tuple[np.ndarray, ...]:

@@ -108,11 +108,6 @@ def _range(others: Sequence[Motion], low: str = "low", high: str = "high") -> tu
     return np.min([getattr(m, low) for m in others], axis=0), np.max([getattr(m, high) for m in others], axis=0)
 
 
-def _joint(r: Recording, wrong: np.ndarray) -> str | None:
-    """The joint that is wrong; None: several are."""
-    return r.joints[int(np.argmax(wrong))] if wrong.sum() == 1 else None
-
-
 def _degrees(r: Recording, one: Motion, others: Sequence[Motion]) -> Iterator[Finding]:
     (low, high), speed = _range(others), np.max([m.speed for m in others], axis=0)
     far = np.maximum(np.abs(one.low), np.abs(one.high))
@@ -127,7 +122,7 @@ def _degrees(r: Recording, one: Motion, others: Sequence[Motion]) -> Iterator[Fi
             f"{one.speed[j]:.3g} a second, in the other recordings from {low[j]:.3g} to {high[j]:.3g} at up to "
             f"{speed[j]:.3g}"
         )
-        yield _odd(r, _joint(r, wrong) if len(wrong) > 1 else None, evidence)
+        yield _odd(r, r.joints[j] if wrong.sum() == 1 < len(wrong) else None, evidence)
 
 
 def _velocity(r: Recording, one: Motion, others: Sequence[Motion]) -> Iterator[Finding]:
@@ -137,31 +132,30 @@ def _velocity(r: Recording, one: Motion, others: Sequence[Motion]) -> Iterator[F
     unit = (one.correlation > LEAST_CORRELATION) & (np.abs(one.factor - 1) > RULES.factor)
     sure = np.array([(m.correlation > RULES.alike) | ~m.moves for m in others]).all(axis=0)
     unlike = one.correlation < np.where(sure, RULES.unlike_beside, RULES.unlike)
-    wrong = usual & one.moves & (unit | unlike)
-    if wrong.any():
-        j = int(np.argmax(wrong))
+    for j, names, joint in _first(r, usual & one.moves & (unit | unlike)):
         evidence = (
             f": the velocity is {one.factor[j]:.4g} times the derivative of the position, correlation "
-            f"{one.correlation[j]:.3f}, at {_names(r, wrong)}; elsewhere it is the derivative"
+            f"{one.correlation[j]:.3f}, at {names}; elsewhere it is the derivative"
         )
-        yield _odd(r, _joint(r, wrong), evidence)
+        yield _odd(r, joint, evidence)
 
 
 def _torque_unit(r: Recording, one: Motion, others: Sequence[Motion]) -> Iterator[Finding]:
     low, high = _range(others, "torque_nm", "torque_nm")
     moves = np.all([m.moves for m in (one, *others)], axis=0)
     wrong = moves & (low > 0) & ((one.torque_nm > RULES.torques * high) | (one.torque_nm < low / RULES.torques))
-    if wrong.any():
-        j = int(np.argmax(wrong))
+    for j, names, joint in _first(r, wrong):
         evidence = (
-            f": torques of {_names(r, wrong)} are of another unit, as it seems: '{r.joints[j]}' takes "
-            f"{one.torque_nm[j]:.3g}, elsewhere {low[j]:.3g} to {high[j]:.3g}"
+            f": torques of {names} are of another unit, as it seems: '{r.joints[j]}' takes {one.torque_nm[j]:.3g}, "
+            f"elsewhere {low[j]:.3g} to {high[j]:.3g}"
         )
-        yield _odd(r, _joint(r, wrong), evidence)
+        yield _odd(r, joint, evidence)
 
 
-def _names(r: Recording, wrong: np.ndarray) -> str:
-    return ", ".join(joint for joint, is_wrong in zip(r.joints, wrong, strict=True) if is_wrong)
+def _first(r: Recording, wrong: np.ndarray) -> list[tuple[int, str, str | None]]:
+    """The first joint that is wrong, names of all, and the joint if it is the only one."""
+    joints = [joint for joint, is_wrong in zip(r.joints, wrong, strict=True) if is_wrong]
+    return [(int(np.argmax(wrong)), ", ".join(joints), joints[0] if len(joints) == 1 else None)] if joints else []
 
 
 def _turns(r: Recording, one: Motion, others: Sequence[Motion]) -> Iterator[Finding]:

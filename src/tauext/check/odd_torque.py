@@ -32,8 +32,7 @@ def spread_about_zero(error: np.ndarray) -> np.ndarray:
 
 SUSPECT = 2.2
 """Multiple of the others' usual error that makes a joint suspect; friction, temperature and other motion cause less."""
-MATTERS = 0.1
-"""Errors below this share of the torque's spread are ignored."""
+MATTERS = 0.1  # errors below this share of the torque's spread are ignored
 
 
 @dataclass(frozen=True)
@@ -121,10 +120,8 @@ class Comparison:
         return self.finding(k, severity, correction.joint, evidence, advice)
 
     def unlike(self, k: int) -> Finding | None:
-        """Finding of a recording that no correction repairs, although its motion is comparable to the others'.
-
-        A cold arm's friction stays below 3.2 times the usual error, and below 0.4 of the torque's spread.
-        """
+        """Finding of a recording that no correction repairs, although its motion is comparable to the others'. A cold
+        arm's friction stays below 3.2 times the usual error, and below 0.4 of the torque's spread."""
         part, pool = self.parts[k], self.pool
         error, usual = pool.errors(part), np.maximum(pool.usual_nm, 1e-9)
         off = (error > 3.2 * usual) & (error > 0.4 * pool.spread_nm)

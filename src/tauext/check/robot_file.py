@@ -170,11 +170,8 @@ def limit_findings(x: Examination) -> Iterator[Finding]:
 
 
 def tilted_tree(stretches: Sequence[Stretch], tree: _core.Tree, rows: FitRows) -> tuple[str, _core.Tree] | None:
-    """A direction of gravity that fits far better: evidence, and the tree with that direction.
-
-    Gravity torque is linear in the vector of free fall: three columns common to all joints, beside each joint's own
-    inertia and friction.
-    """
+    """A direction of gravity that fits far better: evidence, and the tree with that direction. Gravity torque is linear
+    in the vector of free fall: three columns common to all joints, beside each joint's own inertia and friction."""
     up = [_core.Tree(list(tree.links), axis) for axis in np.eye(3).tolist()]
     shared, given = np.stack([joint_fit.model_of(stretches, t)[0] for t in up], axis=2), np.array(tree.gravity)
     columns, torques = joint_fit.without_own(rows, shared, rows.tau - rows.inertial)
@@ -206,8 +203,7 @@ def gravity_findings(x: Examination) -> Iterator[Finding]:
         x.correct(tree=tilted[1])
 
 
-LEAST_KG = 0.3
-"""Least mass of a load; less is a cable or an error of the links."""
+LEAST_KG = 0.3  # least mass of a load; less is a cable or an error of the links
 
 
 @dataclass(frozen=True)
@@ -317,11 +313,9 @@ def other_robot_findings(x: Examination) -> Iterator[Finding]:
 
 
 def pose_share(rows: FitRows, joint: int) -> float:
-    """Share of a joint's torque that the pose explains on left-out motion beyond friction, inertia and model.
-
-    The pose enters by sines and cosines of the angles, of sums and differences of two, and of sums of three neighbours:
-    the gravity torques of any arm whose neighbouring axes are parallel or at right angles.
-    """
+    """Share of a joint's torque that the pose explains on left-out motion beyond friction, inertia and model: by sines
+    and cosines of angles, of sums and differences of two, and of sums of three neighbours, as gravity of any arm whose
+    neighbouring axes are parallel or at right angles."""
     model = np.column_stack([rows.gravity[:, joint], rows.inertial[:, joint]])
     plain = np.column_stack([rows.friction[:, joint], rows.acceleration, model])
     with_pose = np.column_stack([plain, _pose_features(rows.q)])

@@ -131,15 +131,12 @@ def _ends(recordings: Sequence[Recording], signal: str, j: int) -> tuple[float, 
 # --- Quantisation step of a signal: of a register, an encoder or a velocity.
 
 
-MOST_VALUES = 200_000
-"""Largest number of values used; they contain all levels of a coarse signal."""
+MOST_VALUES = 200_000  # largest number of values used; they contain all levels of a coarse signal
 
 
 def step_of(values: np.ndarray) -> float | None:
-    """Step of which all values are whole multiples, up to one offset, in their unit; None: no such step.
-
-    A signal in which every second value is a new level has no detectable step.
-    """
+    """Step of which all values are whole multiples, up to one offset, in their unit; None: there is none, or every
+    second value is a new level."""
     values = values[:: max(1, len(values) // MOST_VALUES)]
     levels = np.unique(values)
     if not 3 <= len(levels) <= 0.5 * len(values):
@@ -158,14 +155,8 @@ def step_of(values: np.ndarray) -> float | None:
 
 
 def position_step(q: np.ndarray, decimals: int = 6) -> float | None:
-    """Step of an encoder, [rad]; None: too fine to detect, or too few positions.
-
-    A step within 1 % of a power of two of counts a turn is set to it: 2 pi / 4096 and not 0.001533951.
-
-    Args:
-        q: positions of one joint, [rad].
-        decimals: to which positions are rounded first, since they may be stored as float32.
-    """
+    """Step of an encoder, [rad]; None: too fine to detect, or too few positions. Rounds first, as positions may be
+    stored as float32. A step within 1 % of a power of two of counts a turn is set to it: 2 pi / 4096."""
     step = step_of(np.round(q, decimals))
     if step is None or step < 10.0 ** (1 - decimals):
         return None

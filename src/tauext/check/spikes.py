@@ -14,8 +14,7 @@ from tauext.check.motion import repeated_rows
 from tauext.data.recording import Recording, runs_of
 from tauext.data.servo import derives_velocity, torque_unit
 
-NAMES = {"tau": ("torque", "Nm"), "q": ("position", "rad"), "dq": ("velocity", "rad/s")}
-"""Name and unit of each signal."""
+NAMES = {"tau": ("torque", "Nm"), "q": ("position", "rad"), "dq": ("velocity", "rad/s")}  # name and unit of each signal
 
 
 @dataclass(frozen=True)
@@ -67,12 +66,7 @@ def normal_ranges(recordings: Sequence[Recording]) -> Ranges:
 
 
 def spikes_of(recording: Recording, normal: Ranges, torque_limits_nm: np.ndarray | None = None) -> list[Spikes]:
-    """All spikes of a recording.
-
-    Args:
-        normal: of its dataset (`normal_ranges`).
-        torque_limits_nm: (joints,) of the robot file, infinite or 0 where it has none.
-    """
+    """All spikes of a recording, by the normal ranges of its dataset and the robot file's limits, 0: it has none."""
     rows = np.flatnonzero(~repeated_rows(recording))
     if len(rows) < 8:
         return []

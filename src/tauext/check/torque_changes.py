@@ -12,7 +12,7 @@ from tauext.check import joint_fit
 from tauext.check.examination import Examination
 from tauext.check.finding import Finding
 from tauext.check.joint_fit import RESISTS, FitRows, JointFit
-from tauext.check.motion import MOVING_RAD_S, RowFilter, Stretch, smooth, stretches
+from tauext.check.motion import MOVING_RAD_S, RowFilter, smooth, stretches
 from tauext.config import FreeMotionConfig
 from tauext.data.recording import Recording, runs_of
 from tauext.data.servo import torque_unit
@@ -158,10 +158,8 @@ class ContactRules:
 
 
 def contact_findings(x: Examination) -> Iterator[Finding]:
-    """Recordings that are called free, by `called_free` or by what made them, and hold samples labelled contact.
-
-    No fault: what is labelled is left out of training and limits; what the label misses at its ends is not.
-    """
+    """Recordings that are called free, by `called_free` or by what made them, and hold samples labelled contact. No
+    fault: what is labelled is left out of training and limits; what the label misses at its ends is not."""
     for r in x.recordings:
         free = r.name in x.called_free or r.provenance.get("contacts") == "none"
         if not free or r.contact is None or not (r.contact == 1).any():
@@ -195,12 +193,18 @@ def unlabelled_findings(
         return []
     rows = joint_fit.rows_of(motion, tree, lag_s, rules.rows)
     free = ~near_label(rows, recordings)
-    known = np.concatenate([rules.rows.picked(has_moved(s), s.rate_hz) for s in motion])
+    # the joint has moved far enough to determine the direction of friction
+    gone = [np.maximum.accumulate(np.abs(s.q - s.q[0]), axis=0) > 2 * max(joint_fit.PRESLIDING_RAD) for s in motion]
+    known = np.concatenate([rules.rows.picked(moved, s.rate_hz) for moved, s in zip(gone, motion, strict=True)])
     if free.sum() < joint_fit.LEAST_ROWS:
         return []
-    errors, friction = (
-        np.stack(x, axis=1) for x in zip(*(_error(rows, j, free) for j in range(rows.joints)), strict=True)
-    )
+    errors, friction = np.zeros_like(rows.tau), np.zeros_like(rows.tau)
+    for j in range(rows.joints):
+        columns = rows.columns(j)
+        weights = joint_fit.robust_solve(columns[free], rows.tau[free, j])[0]
+        errors[:, j] = rows.tau[:, j] - columns @ weights
+        friction[:, j] = columns[:, RESISTS] @ weights[RESISTS]
+    errors -= np.median(errors[free], axis=0)
     spread = np.maximum([joint_fit.robust_spread(x) for x in errors[free].T], 1e-12)
     errors[~(known & free[:, None])] = 0.0
     starts, moving = half_seconds(rows)
@@ -228,12 +232,6 @@ def unlabelled_findings(
     return [Finding("contact-in-free-motion", "warning", None, evidence, advice)]
 
 
-def has_moved(stretch: Stretch) -> np.ndarray:
-    """(samples, joints) bool: the joint has moved far enough to determine the direction of friction."""
-    gone = np.maximum.accumulate(np.abs(stretch.q - stretch.q[0]), axis=0)
-    return gone > 2 * max(joint_fit.PRESLIDING_RAD)
-
-
 def is_unlabelled_contact(finding: Finding) -> bool:
     """Whether `unlabelled_findings` made this finding."""
     return finding.code == "contact-in-free-motion" and finding.recording is None
@@ -249,14 +247,6 @@ def near_label(rows: FitRows, recordings: Sequence[Recording]) -> np.ndarray:
             near |= (rows.time_s >= begin) & (rows.time_s <= end)
         start_s += r.duration_s
     return near
-
-
-def _error(rows: FitRows, j: int, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Error of one joint's torque after a fit to free rows, and its friction; (rows,), [N m]."""
-    columns, torque = rows.columns(j), rows.tau[:, j]
-    weights = joint_fit.robust_solve(columns[free], torque[free])[0]
-    error = torque - columns @ weights
-    return error - np.median(error[free]), columns[:, RESISTS] @ weights[RESISTS]
 
 
 def _described(

@@ -127,14 +127,14 @@ def print_joints_and_findings(out: Path) -> None:
 
 def print_joints(dataset: Dataset, recordings: Sequence[Recording], picture: Path) -> None:
     """Print what each joint did, and draw the first recording: a swap shows at a glance."""
-    from tauext.check.motion import joint_motions, joint_table
+    from tauext.check.motion import joint_table
     from tauext.data.servo import torque_unit
     from tauext.robot.read import load_tree
     from tauext.robot.write import is_placeholder
 
     robot, unit = dataset.robot_file(None), torque_unit(recordings)
     tree = None if is_placeholder(robot) else load_tree(robot, joints=recordings[0].joints)
-    print("\n".join(aligned(joint_table(joint_motions(recordings, tree), unit))))
+    print("\n".join(aligned(joint_table(recordings, tree, unit))))
     try:
         plugins.part("joint-picture")(recordings[0], tree, unit, picture)
     except ConfigError as missing:

@@ -246,30 +246,27 @@ def test_training_with_a_promise_checks_the_calibration_recordings_too(data, tmp
         train_bundle(load_dataset(data), tmp_path / "b.tauext", config=TrainConfig(recipe="observer"))
 
 
-def test_without_a_model_the_robot_file_is_held_against_nobody(data, tmp_path):
-    """Half the torque: a fault against the model, and no matter without one."""
-    for name in ("one", "two", "three"):
-        spoil(data, name, tau=lambda tau: 0.5 * tau)
-    with pytest.raises(FaultyDataError, match="effort-scale"):
-        train_bundle(load_dataset(data), tmp_path / "a.tauext", config=OBSERVER)
-    train_bundle(load_dataset(data), tmp_path / "a.tauext", case="none", config=OBSERVER)
-
-
-def test_a_factor_that_training_finds_is_no_fault(data, tmp_path):
-    for name in ("one", "two", "three"):
-        spoil(data, name, tau=lambda tau: 0.5 * tau)
-    config = replace(OBSERVER, fit_torque_constants=True)
-    train_bundle(load_dataset(data), tmp_path / "a.tauext", config=config)
-
-
-def test_a_given_constant_that_is_far_off_is_reported(data, tmp_path):
-    """Training would correct it, and say so; half of it is no correction."""
+@pytest.mark.parametrize(
+    ("given", "options", "warned"),
+    [
+        ({}, {"config": OBSERVER}, None),
+        ({}, {"config": OBSERVER, "case": "none"}, set()),  # the robot file is held against nobody
+        ({}, {"config": replace(OBSERVER, fit_torque_constants=True)}, set()),
+        ({"torque": FROM_AMPERES}, {"config": OBSERVER}, {"effort-scale"}),  # training corrects it, and says so
+    ],
+    ids=["fault", "no model", "constants are found", "constants were given"],
+)
+def test_half_the_torque_is_a_fault_against_the_model_alone(given, options, warned, data, tmp_path):
     for name in ("one", "two", "three"):
         recording = load_recording(data / f"{name}.parquet")
-        given = {**recording.provenance, "torque": FROM_AMPERES}
-        save_recording(replace(recording, tau=0.5 * recording.tau, provenance=given), data / f"{name}.parquet")
-    train_bundle(load_dataset(data), tmp_path / "a.tauext", config=OBSERVER)
-    assert "effort-scale" in {warning["code"] for warning in kept(tmp_path / "a.tauext")["training"]["warnings"]}
+        half = replace(recording, tau=0.5 * recording.tau, provenance=recording.provenance | given)
+        save_recording(half, data / f"{name}.parquet")
+    if warned is None:
+        with pytest.raises(FaultyDataError, match="effort-scale"):
+            train_bundle(load_dataset(data), tmp_path / "a.tauext", **options)
+        return
+    train_bundle(load_dataset(data), tmp_path / "a.tauext", **options)
+    assert {w["code"] for w in kept(tmp_path / "a.tauext")["training"]["warnings"]} >= warned
 
 
 def test_warnings_are_reported_once_and_faults_of_many_joints_are_accepted_by_their_code():

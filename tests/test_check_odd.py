@@ -89,12 +89,10 @@ def test_odd_recording_is_named_with_its_mend(arm, told):
 
 
 WITHOUT_MODEL = {
-    "negated": lambda r: {"tau": -r.tau},
-    "negated friction resists": lambda r: {"tau": one(r, "tau", np.negative)},
-    "of another unit": lambda r: {"tau": one(r, "tau", lambda x: x * 1000)},
+    "negated": CHANGES["the torque of"],
+    "negated friction resists": CHANGES["its torque negated"],
     "exchanged": lambda r: {"tau": np.ascontiguousarray(r.tau[:, ::-1])},
-    "velocity is -": lambda r: {"dq": one(r, "dq", np.negative)},
-    "in degrees": lambda r: {"q": r.q * 180 / np.pi, "dq": r.dq * 180 / np.pi},
+    **{told: CHANGES[told] for told in ("of another unit", "velocity is -", "in degrees")},
 }
 
 

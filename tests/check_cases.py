@@ -12,10 +12,10 @@ from made_arms import Part, planar_rig, seven_axis, six_axis
 from made_recordings import Drive, Made, made_motion
 
 from tauext import _core
-from tauext.check.arrangement import with_load
 from tauext.check.examine import Diagnosis
 from tauext.check.finding import Finding
 from tauext.check.motion import low_pass
+from tauext.check.robot_file import with_load
 from tauext.data.recording import FLAGS, SIGNALS, Recording
 from tauext.robot.read import load_tree
 
@@ -79,7 +79,7 @@ SETTINGS = [
             Drive(presliding_rad=5e-3, pause_s=3.0, load=0.1, profile="trapezoid")),
     Setting("planar rig, trapezoids", planar_rig(), 500.0, Drive(profile="trapezoid", pause_s=2.0, noise=0.03)),
     Setting("six, presliding, load, warming by 8 %", six_axis(), 100.0,
-            Drive(presliding_rad=3e-3, load=0.1, warming=0.08, pause_s=2.0, profile="trapezoid", noise=0.02)),
+            Drive(presliding_rad=3e-3, load=0.1, warming=0.08, pause_s=2.0, profile="trapezoid", noise=0.02))
 ]  # fmt: skip
 """Good data: effort is a torque, signs and order are right."""
 
@@ -88,7 +88,7 @@ CURRENTS = [
     Setting("six, currents, 250 Hz, warming", six_axis(), 250.0, replace(CURRENT, warming=0.3, step=0.01)),
     Setting("seven, currents, 100 Hz", seven_axis(), 100.0, replace(CURRENT, step=0.03, noise=0.05)),
     Setting("seven, motor side, 500 Hz", seven_axis(), 500.0,
-            replace(CURRENT, nm_per_a=(100.0, 100.0, 80.0, 80.0, 50.0, 50.0, 50.0), step=0.001)),
+            replace(CURRENT, nm_per_a=(100.0, 100.0, 80.0, 80.0, 50.0, 50.0, 50.0), step=0.001))
 ]  # fmt: skip
 """Efforts that are currents or torques before the gear: without a model nothing is wrong with them."""
 
@@ -436,7 +436,7 @@ FAULTS = [
           lambda c: each(c, lambda r, k: {"robot_sha256": 64 * "0"})),
     Fault("joints with other names", "joint-names", None,
           lambda c: ([replace(r, joints=tuple(f"axis_{j}" for j in range(len(r.joints)))) for r in c.made.recordings],
-                     c.urdf.read_text())),
+                     c.urdf.read_text()))
 ]  # fmt: skip
 
 

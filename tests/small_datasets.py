@@ -128,10 +128,6 @@ class Signals:
     """A NaN is written into the file."""
 
 
-def bent(recording: Recording, **changes: np.ndarray | dict) -> Recording:
-    return replace(recording, **changes)
-
-
 Bend = Callable[[Recording, np.random.Generator], Recording]
 
 
@@ -142,13 +138,13 @@ def held(joints: Callable[[int, np.random.Generator], np.ndarray]) -> Bend:
         still = joints(len(recording.joints), rng)
         q, dq = recording.q.copy(), recording.dq.copy()
         q[:, still], dq[:, still] = q[0, still], 0.0
-        return bent(recording, q=q, dq=dq)
+        return replace(recording, q=q, dq=dq)
 
     return bend
 
 
 def torque(change: Callable[[np.ndarray, np.random.Generator], np.ndarray]) -> Bend:
-    return lambda recording, rng: bent(recording, tau=change(recording.tau, rng))
+    return lambda recording, rng: replace(recording, tau=change(recording.tau, rng))
 
 
 def one_way(recording: Recording, rng: np.random.Generator) -> Recording:
@@ -156,7 +152,7 @@ def one_way(recording: Recording, rng: np.random.Generator) -> Recording:
     speed = rng.uniform(0.1, 0.5, len(recording.joints))
     q = recording.q[0] + recording.time_s[:, None] * speed
     tau = recording.tau.mean(axis=0) + 0.05 * rng.standard_normal(q.shape)
-    return bent(recording, q=q, dq=np.tile(speed, (len(q), 1)), tau=tau)
+    return replace(recording, q=q, dq=np.tile(speed, (len(q), 1)), tau=tau)
 
 
 def touched(share: float) -> Bend:
@@ -165,7 +161,7 @@ def touched(share: float) -> Bend:
     def bend(recording: Recording, rng: np.random.Generator) -> Recording:
         runs = rng.random(1 + int(recording.duration_s)) < share
         contact = runs[np.minimum(recording.time_s.astype(int), len(runs) - 1)].astype(np.int8)
-        return bent(recording, contact=contact, tau=recording.tau - 5.0 * contact[:, None])
+        return replace(recording, contact=contact, tau=recording.tau - 5.0 * contact[:, None])
 
     return bend
 
@@ -174,17 +170,13 @@ def gaps(recording: Recording, rng: np.random.Generator) -> Recording:
     """A third of the rows are gone, in stretches of half a second, as an import drops what is NaN."""
     keep = (recording.time_s % 1.5) >= 0.5
     names = ("t_ns", "q", "dq", "tau", "contact")
-    return bent(recording, **{name: getattr(recording, name)[keep] for name in names})
+    return replace(recording, **{name: getattr(recording, name)[keep] for name in names})
 
 
 def every_other(recording: Recording, rng: np.random.Generator) -> Recording:
     """Rows that repeat the one before."""
     at = np.arange(recording.samples) // 2 * 2
-    return bent(recording, q=recording.q[at], dq=recording.dq[at], tau=recording.tau[at])
-
-
-def rounded(step: float) -> Callable[[np.ndarray, np.random.Generator], np.ndarray]:
-    return lambda tau, rng: np.round(tau / (step * np.abs(tau).max())) * step * np.abs(tau).max()
+    return replace(recording, q=recording.q[at], dq=recording.dq[at], tau=recording.tau[at])
 
 
 def one_offset(tau: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -194,22 +186,7 @@ def one_offset(tau: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def last_of(value: float) -> Callable[[np.ndarray, np.random.Generator], np.ndarray]:
-    def change(tau: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        return np.column_stack([tau[:, :-1], np.full(len(tau), value)])
-
-    return change
-
-
-def first(n: int, rng: np.random.Generator) -> np.ndarray:
-    return np.array([0])
-
-
-def last(n: int, rng: np.random.Generator) -> np.ndarray:
-    return np.array([n - 1])
-
-
-def all_but_one(n: int, rng: np.random.Generator) -> np.ndarray:
-    return np.delete(np.arange(n), rng.integers(n))
+    return lambda tau, rng: np.column_stack([tau[:, :-1], np.full(len(tau), value)])
 
 
 def all_of(n: int, rng: np.random.Generator) -> np.ndarray:
@@ -226,11 +203,11 @@ SIGNALS = {
     "three seconds": Signals(seconds=3.0, pieces=1),
     "a tenth of a second": Signals(seconds=0.1, pieces=1),
     "many short recordings": Signals(seconds=24.0, pieces=12),
-    "first joint still": Signals(bend=held(first)),
-    "last joint still": Signals(bend=held(last)),
-    "one joint moves": Signals(bend=held(all_but_one)),
+    "first joint still": Signals(bend=held(lambda n, rng: np.array([0]))),
+    "last joint still": Signals(bend=held(lambda n, rng: np.array([n - 1]))),
+    "one joint moves": Signals(bend=held(lambda n, rng: np.delete(np.arange(n), rng.integers(n)))),
     "nothing moves": Signals(bend=held(all_of)),
-    "frozen": Signals(bend=lambda r, rng: bent(held(all_of)(r, rng), tau=np.tile(r.tau[0], (r.samples, 1)))),
+    "frozen": Signals(bend=lambda r, rng: replace(held(all_of)(r, rng), tau=np.tile(r.tau[0], (r.samples, 1)))),
     "constant torque": Signals(bend=torque(lambda tau, rng: np.tile(tau[0], (len(tau), 1)))),
     "zero torque": Signals(bend=torque(lambda tau, rng: np.zeros_like(tau))),
     "last torque zero": Signals(bend=torque(last_of(0.0))),
@@ -240,7 +217,9 @@ SIGNALS = {
     "huge torques": Signals(bend=torque(lambda tau, rng: 1e7 * tau)),
     "torques turned": Signals(bend=torque(lambda tau, rng: -tau)),
     "one huge offset": Signals(bend=torque(one_offset)),
-    "coarse torque": Signals(bend=torque(rounded(0.3))),
+    "coarse torque": Signals(
+        bend=torque(lambda tau, rng: np.round(tau / (0.3 * np.abs(tau).max())) * 0.3 * np.abs(tau).max())
+    ),
     "twice the same": Signals(twice=True),
     "same file, no friction, no noise": Signals(drive=Drive(friction=0.0, noise=0.0, velocity_filter_s=0.0)),
     "one way": Signals(bend=one_way),
@@ -255,9 +234,9 @@ SIGNALS = {
     ),
     "gaps": Signals(bend=gaps),
     "NaN in the file": Signals(broken=True),
-    "no velocity": Signals(bend=lambda recording, rng: bent(recording, dq=np.zeros_like(recording.dq))),
+    "no velocity": Signals(bend=lambda recording, rng: replace(recording, dq=np.zeros_like(recording.dq))),
     "repeated rows": Signals(bend=every_other),
-    "friction alone": Signals(bend=lambda r, rng: bent(r, tau=2 * np.tanh(r.dq / 0.02) + r.dq)),
+    "friction alone": Signals(bend=lambda r, rng: replace(r, tau=2 * np.tanh(r.dq / 0.02) + r.dq)),
 }
 
 COUNT = len(ARMS) * len(SIGNALS)
@@ -273,10 +252,6 @@ class Small:
     """One dataset, by its number."""
 
     number: int
-
-    @property
-    def words(self) -> str:
-        return f"{self.arm_name}: {self.signals_name}"
 
     @property
     def arm_name(self) -> str:
@@ -328,7 +303,7 @@ class Small:
         rng, names = self.rng(2 + arm), []
         for recording in made.recordings:
             recording = signals.bend(recording, rng)
-            recording = bent(recording, provenance=recording.provenance | {"torque": signals.provenance})
+            recording = replace(recording, provenance=recording.provenance | {"torque": signals.provenance})
             for name in (recording.name, f"{recording.name}-again")[: 1 + signals.twice]:
                 save_recording(replace(recording, name=name), folder / f"{name}.parquet")
                 names.append(f"{name}.parquet")
@@ -384,34 +359,26 @@ def ended(small: Small, stage: str, work: Callable[[], str]) -> Ending:
 
     A warning of NumPy's is a fault, too: it stands on the user's screen, and NaN comes of it.
     """
+    message = fault = ""
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always", RuntimeWarning)
-        ending = ended_somehow(small, stage, work)
+        try:
+            fault = work()
+        except FaultyDataError as error:
+            message = f"the doctor: {error.findings[0].code}"
+        except Exception as error:
+            of_core = isinstance(error.__cause__, _core.CoreError) and "refit" not in stage
+            if isinstance(error, TauextError) and not of_core:
+                message = str(error)
+                fault = "" if message and "\n" not in message else f"not one line: {message}"
+            else:
+                name = "CoreError" if of_core else type(error).__name__
+                fault = f"{name}: {' '.join(str(error).split())}\n{traceback.format_exc()}"
     runtime = [one for one in told if issubclass(one.category, RuntimeWarning)]
-    if runtime and not ending.fault:
+    if runtime and not fault:
         where = f"{Path(runtime[0].filename).name}:{runtime[0].lineno}"
-        return replace(ending, fault=f"RuntimeWarning: {runtime[0].message} ({where})")
-    return ending
-
-
-def ended_somehow(small: Small, stage: str, work: Callable[[], str]) -> Ending:
-    """The same without a look at warnings."""
-    try:
-        return Ending(small.number, small.words, stage, fault=work())
-    except _core.CoreError as error:
-        return Ending(small.number, small.words, stage, fault=f"CoreError: {error}\n{traceback.format_exc()}")
-    except FaultyDataError as error:
-        return Ending(small.number, small.words, stage, f"the doctor: {error.findings[0].code}")
-    except TauextError as error:
-        if isinstance(error.__cause__, _core.CoreError) and "refit" not in stage:
-            return Ending(small.number, small.words, stage, fault=f"CoreError: {error}\n{traceback.format_exc()}")
-        fault = "" if str(error) and "\n" not in str(error) else f"not one line: {error}"
-        return Ending(small.number, small.words, stage, str(error), fault)
-    except Exception as error:
-        words = " ".join(str(error).split())
-        return Ending(
-            small.number, small.words, stage, fault=f"{type(error).__name__}: {words}\n{traceback.format_exc()}"
-        )
+        fault = f"RuntimeWarning: {runtime[0].message} ({where})"
+    return Ending(small.number, f"{small.arm_name}: {small.signals_name}", stage, message, fault)
 
 
 def train(small: Small, data: Path, out: Path, recipe: str, accept: Sequence[str] = (), start: Start = NOTHING) -> str:

@@ -15,12 +15,14 @@ from tauext_lab.sim.collect import simulate_recording
 from tauext_lab.sim.config import RigConfig
 from tauext_lab.sim.rig import arm_xml
 
-from tauext.check.arrangement import fit_load, with_load
 from tauext.check.checks import CHECKS, NEEDS, STEPS
+from tauext.check.effort import pose_findings
+from tauext.check.examination import Examination
 from tauext.check.examine import examine
 from tauext.check.finding import CODES
 from tauext.check.joint_fit import fit_joint, presliding, rows_of
-from tauext.check.motion import compare, pose_findings, stretches
+from tauext.check.motion import compare, stretches
+from tauext.check.robot_file import fit_load, with_load
 from tauext.cli import main
 from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
@@ -62,12 +64,10 @@ def rig(tmp_path_factory) -> Case:
     return Case(replace(made_motion(load_tree(path), 0.2), recordings=recordings), path, 0.7, 1000.0)
 
 
-def test_good_data_of_six_axes_has_no_finding_but_its_length(six):
-    assert {f.code for f in examine(six.made.recordings, six.urdf).findings} == {"too-short"}
-
-
-def test_good_data_of_the_rig_has_no_finding_but_its_length(rig):
-    assert {f.code for f in examine(rig.made.recordings, rig.urdf).findings} == {"too-short"}
+@pytest.mark.parametrize("arm", ["six", "rig"])
+def test_good_data_have_no_finding_but_their_length(arm, request):
+    case = request.getfixturevalue(arm)
+    assert {f.code for f in examine(case.made.recordings, case.urdf).findings} == {"too-short"}
 
 
 LONGER = {"joint-axis", "joint-order", "position-offset", "stuck", "torque-changes"}
@@ -125,22 +125,39 @@ def test_the_table_of_checks_has_every_code_but_those_of_limits():
     assert all(check.step in STEPS and set(check.needs) <= set(NEEDS) for check in CHECKS)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("joints", [[1], [0], list(range(6))], ids=["second", "first", "all"])
-def test_a_torque_in_mnm_is_named_without_a_model(six, joints):
-    """Beside the other joints, or by its size if all are; 1000 Nm are possible, a million are not."""
-    scale = np.where(np.isin(np.arange(6), joints), 1000.0, 1.0)
-    found = examine([replace(r, tau=scale * r.tau) for r in six.made.recordings]).findings
-    named = [f.joint for f in found if f.code == "effort-scale" and f.severity == "fault"]
-    assert named and set(named) <= {f"joint{j + 1}" for j in joints}
-    assert not [f for f in examine(six.made.recordings).findings if f.code == "effort-scale"]
+def scaled(by):
+    return lambda r: replace(r, tau=by * r.tau)
 
 
-@pytest.mark.slow
-def test_offset_is_named_in_rad_and_degrees(searched):
-    recordings = [replace(r, q=r.q - 0.3 * np.eye(6)[2]) for r in searched.made.recordings]
-    (found,) = [f for f in examine(recordings, searched.urdf).findings if f.code == "position-offset"]
-    assert found.joint == "joint3" and "+0.30 rad (+17 degrees)" in found.evidence
+ALL = {f"joint{j}" for j in range(1, 7)}
+MNM = [np.where(np.isin(np.arange(6), joints), 1000.0, 1.0) for joints in ([1], [0], range(6))]
+TOLD = {
+    # change of each recording, whether there is a model, the code, its joints, words of the evidence
+    "second torque in mNm": (scaled(MNM[0]), False, "effort-scale", {"joint2"}, ""),
+    "first torque in mNm": (scaled(MNM[1]), False, "effort-scale", {"joint1"}, ""),
+    "all torques in mNm": (scaled(MNM[2]), False, "effort-scale", ALL, ""),  # 1000 Nm are possible, a million are not
+    "mNm against a model": (scaled(1e3), True, "effort-scale", ALL, ""),
+    "no fault without a model": (scaled(1.0), False, "effort-scale", set(), ""),
+    "offset": (lambda r: replace(r, q=r.q - 0.3 * np.eye(6)[2]), True, "position-offset", {"joint3"},
+               "+0.30 rad (+17 degrees)"),
+    "positions divided by 57": (lambda r: replace(r, q=r.q * np.pi / 180), True, "velocity-unit", ALL,
+                                "the position is in rad and was imported as degrees"),
+    "a wrist that winds up": (lambda r: replace(r, q=r.q + np.eye(6)[5] * 16.0), False, "degrees", set(), ""),
+    "currents that a lighter hand explains": (scaled(1 / np.linspace(14, 8, 6)), True, "effort-scale", None, ""),
+    "turned without a model": (scaled(-1.0), False, "effort-sign", ALL, ""),
+}  # fmt: skip
+SLOW = {"second torque in mNm", "first torque in mNm", "all torques in mNm", "offset", "turned without a model"}
+
+
+@pytest.mark.parametrize("told", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in TOLD])
+def test_one_fault_of_the_whole_motion_is_told_alone(six, searched, longer, told):
+    change, with_model, code, joints, words = TOLD[told]
+    case = longer if told.startswith("turned") else searched if told == "offset" else six
+    found = examine([change(r) for r in case.made.recordings], case.urdf if with_model else None).findings
+    named = [f for f in found if f.code == code]
+    assert {f.code for f in found if f.severity == "fault"} == ({code} if named else set())
+    assert joints is None or {f.joint for f in named} <= joints and bool(named) == bool(joints)
+    assert all(words in f.evidence for f in named)
 
 
 def test_axis_along_gravity_has_no_offset(tmp_path):
@@ -155,9 +172,9 @@ def test_axis_along_gravity_has_no_offset(tmp_path):
 def test_sign_at_rest_is_reported_of_loaded_joints_alone(six):
     recordings, _ = standing(six, [-1.0] * 6)
     loads = np.abs(six.tree.momentum(np.stack([r.q[0] for r in recordings]), np.zeros((4, 6)))[1]).max(axis=0)
-    found = [f.joint for f in pose_findings(recordings, six.tree, recordings[0].joints)]
+    found = [f.joint for f in pose_findings(Examination(recordings, tree=six.tree))]
     assert {f"joint{j + 1}" for j in np.flatnonzero(loads > 0.5 * loads.max())} <= set(found)
-    assert not pose_findings(standing(six, [1.0] * 6)[0], six.tree, recordings[0].joints)
+    assert not list(pose_findings(Examination(standing(six, [1.0] * 6)[0], tree=six.tree)))
 
 
 @pytest.mark.slow
@@ -185,7 +202,7 @@ def test_friction_that_holds_the_arm_has_no_sign_of_gravity(six):
     recordings, _ = standing(six, [1.0] * 6)
     held = [replace(r, tau=-0.05 * r.tau) for r in recordings[:1]]
     little = [replace(r, tau=r.tau * np.where(np.arange(6) == 1, -0.05, 1.0)) for r in recordings[:1]]
-    assert "joint2" not in {f.joint for f in pose_findings(little, six.tree, recordings[0].joints)}
+    assert "joint2" not in {f.joint for f in pose_findings(Examination(little, tree=six.tree))}
     assert examine(held).findings  # without a model: that nothing moves
     assert "effort-sign" not in {f.code for f in examine(held).findings}
 
@@ -222,11 +239,6 @@ def test_velocity_that_stands_still_by_chance_near_its_mean_is_stuck(six):
     assert [f.joint for f in found] == ["joint2"] and "dq stays" in found[0].evidence
 
 
-def test_torque_in_a_thousand_times_its_unit_is_named_against_a_model(six):
-    findings = examine([replace(r, tau=1e3 * r.tau) for r in six.made.recordings], six.urdf).findings
-    assert {f.code for f in findings if f.severity == "fault"} == {"effort-scale"}
-
-
 @pytest.mark.parametrize(("beat", "stuck"), [(0.9, False), (0.5, True)])
 def test_a_slow_cruise_whose_velocity_beats_with_the_samples_is_not_stuck(six, beat, stuck):
     """Counts of the encoder in step with the samples: each says the same velocity, and it is some per cent off."""
@@ -248,15 +260,6 @@ def test_coarse_current_that_rests_on_a_level_is_not_stuck():
     recording = made_motion(planar_arm(), 1.0, pieces=1).recordings[0]
     recording = replace(recording, q=q, dq=np.gradient(q, 0.01, axis=0), tau=tau)
     assert "stuck" not in {f.code for f in examine([recording]).findings}
-
-
-@pytest.mark.slow
-def test_effort_of_the_wrong_sign_is_found_without_a_model(longer):
-    recordings = [replace(r, tau=-r.tau) for r in longer.made.recordings]
-    diagnosis = examine(recordings)
-    found = {f.joint for f in diagnosis.findings if f.code == "effort-sign"}
-    assert found == set(recordings[0].joints)
-    assert not examine(longer.made.recordings).faulty
 
 
 def test_a_tool_taken_off_is_less_load(six, tmp_path):
@@ -293,24 +296,10 @@ def test_velocity_delay_is_measured_to_a_millisecond(six, late_s):
     assert compare(stretches([shift(r) for r in six.made.recordings]), 0).lag_s == pytest.approx(late_s, abs=1e-3)
 
 
-def test_positions_divided_by_57_are_found_by_the_velocity(six):
-    """Radians imported as degrees: the positions hardly move, so their derivative is slower than any arm's motion."""
-    recordings = [replace(r, q=r.q * np.pi / 180) for r in six.made.recordings]
-    found = [f for f in examine(recordings, six.urdf).findings if f.code == "velocity-unit"]
-    assert {f.joint for f in found} == set(recordings[0].joints)
-    assert all("the position is in rad and was imported as degrees" in f.evidence for f in found)
-
-
 def test_a_joint_at_rest_with_a_noisy_velocity_has_no_unit(six):
     rng = np.random.default_rng(0)
     still = [replace(r, q=r.q * 0 + 1e-5 * rng.standard_normal(r.q.shape)) for r in six.made.recordings]
     assert compare(stretches([replace(r, dq=rng.standard_normal(r.q.shape)) for r in still]), 0) is None
-
-
-def test_one_wide_joint_is_not_in_degrees(six):
-    """A wrist may wind up: only two such joints, or a speed that no joint has, are degrees."""
-    wound = [replace(r, q=r.q + np.eye(6)[5] * 16.0) for r in six.made.recordings]
-    assert "degrees" not in {f.code for f in examine(wound).findings}
 
 
 def test_bad_input_is_refused(six, tmp_path):
@@ -328,13 +317,6 @@ def test_unreadable_robot_file_is_a_fault_and_the_signals_are_checked(six, tmp_p
     recordings = [replace(r, dq=-r.dq) for r in six.made.recordings]
     codes = {f.code for f in examine(recordings, tmp_path / "robot.urdf").findings}
     assert {"model-unusable", "velocity-sign"} <= codes
-
-
-def test_factors_that_a_load_explains_in_part_stay_factors(six):
-    """Currents of all joints, of which a lighter hand would explain one."""
-    recordings = [replace(r, tau=r.tau / np.linspace(14, 8, 6)) for r in six.made.recordings]
-    codes = {f.code for f in examine(recordings, six.urdf).findings}
-    assert codes == {"effort-scale", "too-short"}
 
 
 def test_joints_of_an_mjcf_are_taken_in_its_order_where_names_differ(rig):

@@ -9,7 +9,7 @@ import pytest
 from made_arms import _serial, six_axis_tree, urdf
 from made_recordings import made_motion
 
-from tauext.check.causes import EXPLAINED, causes_only
+from tauext.check.checks import EXPLAINED, causes_only
 from tauext.check.examine import examine, quick_checks
 from tauext.check.finding import CODES, Finding
 from tauext.robot.read import load_tree

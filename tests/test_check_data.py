@@ -13,7 +13,7 @@ from made_recordings import made_motion
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
-from tauext.check.before_training import MOST_MOVING_S, folder, refuse_faults, shares
+from tauext.check.before_training import SHARE, ShareRules, folder, refuse_faults, shares
 from tauext.check.finding import CODES, Finding
 from tauext.cli import main
 from tauext.config import AlarmConfig, TrainConfig
@@ -206,8 +206,7 @@ def test_labelled_contacts_are_left_out_and_no_fault(data, tmp_path, capsys):
 
 def test_contacts_are_searched_for_beyond_the_share_that_all_checks_read(data, tmp_path, monkeypatch):
     """A push of 0.3 s at the end of one recording, once with a label that comes 0.5 s late, once with the right one."""
-    monkeypatch.setattr("tauext.check.before_training.MOST_MOVING_S", 20.0)
-    monkeypatch.setattr("tauext.check.before_training.LEAST_MOVING_S", 8.0)
+    monkeypatch.setattr("tauext.check.before_training.SHARE", ShareRules(moving_s=20.0, recording_s=8.0))
     whole = load_recording(data / "one.parquet")
     push = (whole.time_s > 14.0) & (whole.time_s < 14.3)
     tau = whole.tau + 4 * whole.tau.std(axis=0) * push[:, None]
@@ -247,30 +246,27 @@ def test_training_with_a_promise_checks_the_calibration_recordings_too(data, tmp
         train_bundle(load_dataset(data), tmp_path / "b.tauext", config=TrainConfig(recipe="observer"))
 
 
-def test_without_a_model_the_robot_file_is_held_against_nobody(data, tmp_path):
-    """Half the torque: a fault against the model, and no matter without one."""
-    for name in ("one", "two", "three"):
-        spoil(data, name, tau=lambda tau: 0.5 * tau)
-    with pytest.raises(FaultyDataError, match="effort-scale"):
-        train_bundle(load_dataset(data), tmp_path / "a.tauext", config=OBSERVER)
-    train_bundle(load_dataset(data), tmp_path / "a.tauext", case="none", config=OBSERVER)
-
-
-def test_a_factor_that_training_finds_is_no_fault(data, tmp_path):
-    for name in ("one", "two", "three"):
-        spoil(data, name, tau=lambda tau: 0.5 * tau)
-    config = replace(OBSERVER, fit_torque_constants=True)
-    train_bundle(load_dataset(data), tmp_path / "a.tauext", config=config)
-
-
-def test_a_given_constant_that_is_far_off_is_reported(data, tmp_path):
-    """Training would correct it, and say so; half of it is no correction."""
+@pytest.mark.parametrize(
+    ("given", "options", "warned"),
+    [
+        ({}, {"config": OBSERVER}, None),
+        ({}, {"config": OBSERVER, "case": "none"}, set()),  # the robot file is held against nobody
+        ({}, {"config": replace(OBSERVER, fit_torque_constants=True)}, set()),
+        ({"torque": FROM_AMPERES}, {"config": OBSERVER}, {"effort-scale"}),  # training corrects it, and says so
+    ],
+    ids=["fault", "no model", "constants are found", "constants were given"],
+)
+def test_half_the_torque_is_a_fault_against_the_model_alone(given, options, warned, data, tmp_path):
     for name in ("one", "two", "three"):
         recording = load_recording(data / f"{name}.parquet")
-        given = {**recording.provenance, "torque": FROM_AMPERES}
-        save_recording(replace(recording, tau=0.5 * recording.tau, provenance=given), data / f"{name}.parquet")
-    train_bundle(load_dataset(data), tmp_path / "a.tauext", config=OBSERVER)
-    assert "effort-scale" in {warning["code"] for warning in kept(tmp_path / "a.tauext")["training"]["warnings"]}
+        half = replace(recording, tau=0.5 * recording.tau, provenance=recording.provenance | given)
+        save_recording(half, data / f"{name}.parquet")
+    if warned is None:
+        with pytest.raises(FaultyDataError, match="effort-scale"):
+            train_bundle(load_dataset(data), tmp_path / "a.tauext", **options)
+        return
+    train_bundle(load_dataset(data), tmp_path / "a.tauext", **options)
+    assert {w["code"] for w in kept(tmp_path / "a.tauext")["training"]["warnings"]} >= warned
 
 
 def test_warnings_are_reported_once_and_faults_of_many_joints_are_accepted_by_their_code():
@@ -298,9 +294,9 @@ def moving(seconds: float, still_s: float) -> Recording:
 def test_a_share_of_every_recording_is_checked_and_all_of_it_where_there_is_little():
     little = [moving(60.0, 10.0), moving(60.0, 0.0)]
     assert shares(little) == little
-    much = [moving(0.5 * MOST_MOVING_S, 20.0), moving(4 * MOST_MOVING_S, 0.0), moving(0.5 * MOST_MOVING_S, 5.0)]
+    much = [moving(0.5 * SHARE.moving_s, 20.0), moving(4 * SHARE.moving_s, 0.0), moving(0.5 * SHARE.moving_s, 5.0)]
     seconds = [float((r.dq[:, 0] != 0).sum() / r.rate_hz) for r in shares(much)]
-    assert abs(sum(seconds) - MOST_MOVING_S) < 5.0 and min(seconds) > 0.09 * MOST_MOVING_S
+    assert abs(sum(seconds) - SHARE.moving_s) < 5.0 and min(seconds) > 0.09 * SHARE.moving_s
     assert all(r.t_ns[0] == 0 for r in shares(much))  # so that times are those of the recording
 
 

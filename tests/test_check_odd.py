@@ -11,12 +11,15 @@ from made_arms import planar_arm, six_axis, urdf
 from made_recordings import Drive, made_motion
 
 from tauext.check import odd_torque
-from tauext.check.arrangement import with_load
-from tauext.check.checks import CHECKS, SIGNALS, VELOCITIES, Examination, run
+from tauext.check.checks import CHECKS, SIGNALS, VELOCITIES, run
+from tauext.check.corrections import search_stretches
+from tauext.check.effort import SignVote
+from tauext.check.examination import Examination
 from tauext.check.examine import examine
 from tauext.check.finding import Finding
 from tauext.check.joint_fit import rows_of
 from tauext.check.motion import stretches
+from tauext.check.robot_file import with_load
 from tauext.data.free_motion import cut
 from tauext.data.recording import Recording
 from tauext.robot.read import load_tree
@@ -86,12 +89,10 @@ def test_odd_recording_is_named_with_its_mend(arm, told):
 
 
 WITHOUT_MODEL = {
-    "negated": lambda r: {"tau": -r.tau},
-    "negated friction resists": lambda r: {"tau": one(r, "tau", np.negative)},
-    "of another unit": lambda r: {"tau": one(r, "tau", lambda x: x * 1000)},
+    "negated": CHANGES["the torque of"],
+    "negated friction resists": CHANGES["its torque negated"],
     "exchanged": lambda r: {"tau": np.ascontiguousarray(r.tau[:, ::-1])},
-    "velocity is -": lambda r: {"dq": one(r, "dq", np.negative)},
-    "in degrees": lambda r: {"q": r.q * 180 / np.pi, "dq": r.dq * 180 / np.pi},
+    **{told: CHANGES[told] for told in ("of another unit", "velocity is -", "in degrees")},
 }
 
 
@@ -111,22 +112,22 @@ def test_odd_recording_is_named_without_a_model(planar, told):
 def test_a_torque_constant_that_is_off_is_advised_by_its_ratio(planar, monkeypatch, scale, told):
     """The sign of the friction alone is no proof of an inverted torque: the other recordings' torque has the same sign.
     The vote on the sign is taken as lost, as in a servo arm whose friction the fit cannot find."""
-    motion = stretches([replace(r, tau=r.tau * [scale if k == ODD else 1.0, 1.0]) for k, r in enumerate(planar)])
-    rows = rows_of(motion, planar_arm())
-    parts = {k: rows.taken(rows.recording == k) for k in range(len(planar))}
+    scaled = [replace(r, tau=r.tau * [scale if k == ODD else 1.0, 1.0]) for k, r in enumerate(planar)]
+    x = Examination(scaled)
+    x.correct(rows=rows_of(x.motion, planar_arm()))
+    parts = {k: x.rows.taken(x.rows.recording == k) for k in range(len(planar))}
     parts[ODD] = replace(parts[ODD], dq=-np.sign(parts[ODD].tau) * np.abs(parts[ODD].dq))  # lowered: negative work
-    monkeypatch.setattr(odd_torque, "inverted", lambda vote: True)
-    pool = odd_torque._pool([parts[k] for k in parts if k != ODD])
-    predicted = pool.predicted(rows.taken(rows.recording == ODD))
+    monkeypatch.setattr(SignVote, "inverted", True)
+    pool = odd_torque.Pool.of([parts[k] for k in parts if k != ODD])
+    predicted = pool.predicted(x.rows.taken(x.rows.recording == ODD))
     monkeypatch.setattr(odd_torque.Pool, "predicted", lambda self, rows: predicted)
-    others = odd_torque.Comparison(parts, pool, motion, None, ("shoulder", "elbow"), list("abcd"), "Nm")
-    findings = others.driven(list(parts))
-    found = [one for one in findings if one.recording == "c"]
+    findings = list(odd_torque.Comparison(x, parts, pool).driven(list(parts)))
+    found = [one for one in findings if one.recording == planar[ODD].name]
     if told is None:
         assert found == []
         return
     (one,) = found
-    assert one.joint == "shoulder" and ("negate" in one.advice) == (scale < 0)
+    assert one.joint == planar[0].joints[0] and ("negate" in one.advice) == (scale < 0)
     assert f"divide its torque by {told}" in one.advice if told else one.severity == "fault"
 
 
@@ -208,9 +209,6 @@ def test_a_recording_of_another_rate_is_named(planar):
 
 
 def test_stamps_far_too_long_leave_rows_to_search(arm):
-    from tauext.check.corrections import search_stretches
-    from tauext.check.motion import stretches
-
     _, _, good = arm
     slow = stretches([replace(r, t_ns=r.t_ns * 1_000_000, rate_hz=r.rate_hz / 1e6) for r in good])
     assert min(len(s.q) for s in search_stretches(slow, 30.0)) > 9
@@ -219,13 +217,10 @@ def test_stamps_far_too_long_leave_rows_to_search(arm):
 @pytest.mark.parametrize("length_s", [4.0, 30.0, 100.0])
 def test_the_search_has_its_time_of_motion_however_short_the_stretches_are(arm, length_s):
     """Servo arms move for seconds and rest: a share of each stretch was too short to count, and 51 rows were left."""
-    from tauext.check.corrections import SEARCH_S, search_stretches
-    from tauext.check.motion import stretches
-
     _, _, good = arm
     whole = max(stretches(good), key=lambda s: s.seconds)
     rows = round(length_s * whole.rate_hz)
     one = whole.changed(lambda x: np.resize(x, (rows, *x.shape[1:])))
     few = search_stretches([one] * round(600 / length_s))
-    assert sum(s.seconds for s in few) == pytest.approx(SEARCH_S, rel=0.05)
+    assert sum(s.seconds for s in few) == pytest.approx(60.0, rel=0.05)
     assert min(s.seconds for s in few) >= 2.0

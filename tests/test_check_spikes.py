@@ -11,7 +11,7 @@ from made_recordings import Drive, made_motion
 
 from tauext.check.examine import quick_checks
 from tauext.check.finding import Finding
-from tauext.check.sensors import normal_ranges, spikes_of, without_spikes
+from tauext.check.spikes import normal_ranges, spikes_of, without_spikes
 from tauext.data.recording import Recording
 
 RATES_HZ = (100.0, 1000.0)

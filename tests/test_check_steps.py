@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tauext.check.quantisation import position_step, step_of
-from tauext.check.sensors import coarse_velocities
+from tauext.check.examination import Examination
+from tauext.check.sensors import coarse_velocities, position_step, step_of
 from tauext.data.recording import Recording
 
 COUNT_RAD = 2 * np.pi / 4096
@@ -34,8 +34,8 @@ def test_a_velocity_of_few_steps_is_coarse_where_positions_give_a_finer_one():
     def with_step(step: float, **changes) -> Recording:
         return replace(arm, dq=np.round(dq / step) * step, **changes)
 
-    found = coarse_velocities([with_step(50 * COUNT_RAD)])  # the speed register of a Feetech servo
+    found = list(coarse_velocities(Examination([with_step(50 * COUNT_RAD)])))  # the speed register of a Feetech servo
     assert [f.joint for f in found] == ["pan", "lift"] and "0.0767 rad/s" in found[0].evidence
-    assert not coarse_velocities([with_step(0.229 * np.pi / 30)])  # that of a Dynamixel
+    assert not list(coarse_velocities(Examination([with_step(0.229 * np.pi / 30)])))  # that of a Dynamixel
     derived = {"servo": {"torque_from": "torque", "velocity_steps": 10}}
-    assert not coarse_velocities([with_step(50 * COUNT_RAD, provenance=derived)])
+    assert not list(coarse_velocities(Examination([with_step(50 * COUNT_RAD, provenance=derived)])))

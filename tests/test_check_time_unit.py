@@ -10,6 +10,7 @@ from made_arms import planar_arm
 from made_recordings import made_motion
 
 from tauext.check.clock import time_findings, time_unit
+from tauext.check.examination import Examination
 from tauext.check.examine import quick_checks
 from tauext.data.assemble import derived_velocity
 from tauext.data.recording import Recording
@@ -43,11 +44,12 @@ def test_derived_velocity_leaves_speeds_and_rates(good, factor):
 
 
 def test_all_recordings_are_one_finding_and_some_one_each(good):
-    found, mended = time_findings([stamped(r, 1e3) for r in good])
+    x = Examination([stamped(r, 1e3) for r in good])
+    found = list(time_findings(x))
     assert [(f.recording, f.severity) for f in found] == [(None, "fault")]
-    for r, back in zip(good, mended, strict=True):
+    for r, back in zip(good, x.recordings, strict=True):
         assert np.array_equal(back.t_ns, r.t_ns) and back.rate_hz == pytest.approx(r.rate_hz)
-    found, _ = time_findings([good[0], stamped(good[1], 1e3)])
+    found = list(time_findings(Examination([good[0], stamped(good[1], 1e3)])))
     assert [f.recording for f in found] == [good[1].name]
 
 

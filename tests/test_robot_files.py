@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio_oracle as oracle
@@ -12,7 +13,9 @@ from made_arms import planar_rig, random_states, six_axis, urdf
 from test_robot import INERTIAL, assert_same_dynamics, mjcf, two_links, write
 
 from tauext import _core
-from tauext.check.robot_file import open_robot
+from tauext.check.examination import Examination
+from tauext.check.finding import Finding
+from tauext.check.robot_file import file_findings
 from tauext.cli import main
 from tauext.errors import RobotError
 from tauext.robot.capsules import write_shapes
@@ -163,27 +166,30 @@ def test_a_file_is_read_in_any_encoding(tmp_path, name):
     assert copied.links[0].rotor_inertia == pytest.approx(0.25) and copied.links[1].mass == clean.links[1].mass
 
 
+def opened(path: Path) -> tuple[list[Finding], bool]:
+    """Findings of a robot file of these joints, and whether it can be used."""
+    x = Examination([SimpleNamespace(joints=tuple(JOINTS), robot_sha256="")], path)  # type: ignore[list-item]
+    return list(file_findings(x)), x.tree is not None
+
+
 def test_a_link_that_no_joint_in_use_moves_is_not_judged(tmp_path):
     broken = [link("bad", "-3", inertia("nan", "-1", "1")), joint("tilt", "revolute", "base", "bad")]
     path = write(tmp_path, with_more(*broken), "arm.urdf")
     assert_same_dynamics(load_tree(path, JOINTS), load_tree(write(tmp_path, ARM)), 0.0)
-    assert open_robot(path, JOINTS).findings == []
+    assert opened(path) == ([], True)
     with pytest.raises(RobotError, match=r"link 'bad': mass = -3 kg must be >= 0"):
         load_tree(path)
 
 
 def test_an_impossible_inertia_is_a_finding_and_a_note_where_it_changes_nothing(tmp_path):
-    negligible = open_robot(
-        write(tmp_path, LEGAL["a leaf with an inertia that no body has"], "arm.urdf"), JOINTS)  # fmt: skip
-    (note,) = negligible.findings
+    (note,), usable = opened(write(tmp_path, LEGAL["a leaf with an inertia that no body has"], "arm.urdf"))
     assert (note.code, note.severity, note.joint) == ("inertia-impossible", "note", "joint6")
-    assert "link 'leaf'" in note.evidence and negligible.tree is not None
-    broken = open_robot(
-        write(tmp_path, LEGAL["an inertia that violates the triangle inequality"], "arm.urdf"), JOINTS)  # fmt: skip
-    assert [(one.code, one.severity, one.joint) for one in broken.findings] == [
+    assert "link 'leaf'" in note.evidence and usable
+    broken, usable = opened(write(tmp_path, LEGAL["an inertia that violates the triangle inequality"], "arm.urdf"))
+    assert [(one.code, one.severity, one.joint) for one in broken] == [
         ("inertia-impossible", "fault", name) for name in JOINTS[:3]
     ]
-    assert broken.tree is None
+    assert not usable
 
 
 # --- What is refused, with its line.

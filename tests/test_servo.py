@@ -9,9 +9,9 @@ import pytest
 
 from tauext import _core
 from tauext.bundle.match import expect_fit
-from tauext.check.checks import of_servos
 from tauext.check.finding import Finding
-from tauext.check.sensors import normal_ranges, spikes_of
+from tauext.check.odd_torque import of_servos
+from tauext.check.spikes import normal_ranges, spikes_of
 from tauext.data.assemble import assemble
 from tauext.data.description import parse_arm
 from tauext.data.importers.open_raw import open_raw

@@ -14,6 +14,7 @@ from small_datasets import ARMS, COUNT, SIGNALS, Ending, of_number, summary
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.check.clock import repeat_findings
+from tauext.check.examination import Examination
 from tauext.data.dataset import load_dataset
 from tauext.data.recording import Recording
 from tauext.fit.bundle_writing import torque_at_rest
@@ -52,6 +53,7 @@ def expect_sound(endings: Iterable[Ending]) -> None:
     assert not [one for one in found if one.fault], summary(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dataset", FEW)
 def test_a_small_dataset_ends_in_a_healthy_bundle_or_one_line(dataset):
     found = of_number(dataset, recipes=["tauext" if dataset == FEW[0] else "prior"])
@@ -198,5 +200,5 @@ def test_the_torque_at_rest_is_what_it_moved_by_while_the_encoder_stood():
 
 def test_rows_that_are_all_the_same_are_a_finding():
     still = resting(np.ones((50, 2)), np.zeros((50, 2)))
-    (found,) = repeat_findings([still])
+    (found,) = repeat_findings(Examination([still]))
     assert "98.0% of the rows equal the row before" in found.evidence and "ms apart" not in found.evidence

@@ -62,31 +62,13 @@ GOOD += (
     "commission --source replay:data/free-006.parquet --out out/cell",
     "commission --source sim:rig --out out/cell",
 )
-RARE = {
-    "commission": 0.1,
-    "reproduce": 0.1,
-    "report": 0.2,
-    "evaluate": 0.4,
-    "calibrate": 0.3,
-    "check": 0.4,
-}
+RARE = {"commission": 0.1, "reproduce": 0.1, "report": 0.2, "evaluate": 0.4, "calibrate": 0.3, "check": 0.4}
 RARE |= {"fleet prior": 0.1}
 RARE |= {"results": 0.2, "flight": 0.4, "run.json": 0.4}
 """Commands and readers whose good lines take seconds come so much less often."""
 WRITERS: tuple[str, ...] = (
-    SIMULATE,
-    TRAIN,
-    NETWORK,
-    EVALUATE,
-    CHECK,
-    REPORT,
-    FLIGHT,
-    RUN,
-    RECORD,
-    IMPORT,
-    LEROBOT,
-    NEW,
-)
+    SIMULATE, TRAIN, NETWORK, EVALUATE, CHECK, REPORT, FLIGHT, RUN, RECORD, IMPORT, LEROBOT, NEW,
+)  # fmt: skip
 WRITERS += (LABEL,)
 WRITERS += (FLEET_PRIOR, "fleet example --out out/fleet.toml")
 BUNDLE = ("show {}", "show {}", "run {} data/free-006.parquet", "evaluate --data data --out out/results --bundles {}")

@@ -17,50 +17,17 @@ from scipy.io import savemat
 
 NESTED = 20_000
 VALUES: tuple[Any, ...] = (
-    None,
-    True,
-    -1,
-    0,
-    2**70,
-    1e308,
-    -1e308,
-    float("nan"),
-    float("inf"),
-    "",
-    "x",
-    "x" * 9999,
-    [],
-    {},
-)
+    None, True, -1, 0, 2**70, 1e308, -1e308, float("nan"), float("inf"), "", "x", "x" * 9999, [], {},
+)  # fmt: skip
 VALUES += ([[]], [None], {"": 0}, "\ud800", [1e308] * 50, "../../etc/passwd", 0.5, "nan", ["joint1", 1], 3)
 TOKENS = ("inf", "nan", "-1", "0", "1e308", '""', '"x"', "[]", "{}", "true", '["a", 1]', "[[]]", "9" * 30, "1979-05-27")
 TOKENS += (
-    '"\\uFFFF"',
-    '"../.."',
-    '"/dev/zero"',
-    "'''",
-    "[nan, inf]",
-    '["joint1", "joint1"]',
-    "[1, 2, 3]",
-    "[-1, 0]",
-    "",
-)
+    '"\\uFFFF"', '"../.."', '"/dev/zero"', "'''", "[nan, inf]", '["joint1", "joint1"]', "[1, 2, 3]", "[-1, 0]", "",
+)  # fmt: skip
 XML = (
-    "",
-    "nan",
-    "inf",
-    "-1",
-    "0",
-    "1e308",
-    "x",
-    "0 0 0",
-    "0 0",
-    "1 2 3 4 5 6 7",
-    "joint1",
-    "-1e-300",
-    "a" * 5000,
+    "", "nan", "inf", "-1", "0", "1e308", "x", "0 0 0", "0 0", "1 2 3 4 5 6 7", "joint1", "-1e-300", "a" * 5000,
     "1e-320",
-)
+)  # fmt: skip
 
 
 def damage(path: Path, rng: np.random.Generator) -> str:
@@ -344,14 +311,6 @@ def damage_bundle(path: Path, rng: np.random.Generator) -> str:
 
 
 BY_ENDING = {
-    ".json": damage_json,
-    ".toml": damage_toml,
-    ".xml": damage_xml,
-    ".urdf": damage_xml,
-    ".parquet": damage_parquet,
-    ".h5": damage_hdf5,
-    ".mat": damage_mat,
-    ".npz": damage_npz,
-    ".csv": damage_csv,
-    ".tauext": damage_bundle,
-}
+    ".json": damage_json, ".toml": damage_toml, ".xml": damage_xml, ".urdf": damage_xml, ".parquet": damage_parquet,
+    ".h5": damage_hdf5, ".mat": damage_mat, ".npz": damage_npz, ".csv": damage_csv, ".tauext": damage_bundle,
+}  # fmt: skip

@@ -299,8 +299,7 @@ def half_written(case: Case, status: int, place: Path) -> list[str]:
                 json.loads(path.read_text())
         except Exception as error:
             faults.append(f"half-written {path.relative_to(place)} ({type(error).__name__})")
-    if status == 2 and case.command not in KEEP and made:
-        faults.append(f"refused, and left {', '.join(str(path.relative_to(place)) for path in made[:4])}")
-    if status == 2 and case.command == "simulate" and case.largest_file is None and "full" not in case.what and made:
+    simulated = case.command == "simulate" and case.largest_file is None and "full" not in case.what
+    if status == 2 and made and (case.command not in KEEP or simulated):
         faults.append(f"refused, and left {', '.join(str(path.relative_to(place)) for path in made[:4])}")
     return faults

@@ -138,7 +138,7 @@ def row_of(case: Case, good: GoodSet, clean_folder: Path, look_only: bool) -> di
     """One case, from the mutation to the verdict; where only the door is asked, LET_IN of what it lets in."""
     clean_seen, clean_worth = clean_of(clean_folder / f"{good.name}.json")
     empty = {"verdict": None, "error": None, "findings": [], "fits": False, "limit_off": None, "found": None}
-    row = case.row() | empty | {"events": None, "found_clean": None}
+    row = asdict(case) | empty | {"events": None, "found_clean": None}
     work = clean_folder.parent / "work" / str(os.getpid())
     started = time.monotonic()
     what, signals = case.change.what, case.change.signals

@@ -8,7 +8,7 @@ import os
 import shutil
 import zlib
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -63,22 +63,15 @@ class Case:
     """Names of the recordings that are changed; none: all."""
     seed: int
 
-    def row(self) -> dict:
-        """What its row says of it."""
-        return asdict(self)
-
 
 def cases_of(good: GoodSet, seed: int) -> list[Case]:
     """Those of one dataset, in an order drawn by seed, so that the first of them are a fair sample."""
     settings = [s for s in _settings(good) if s.kind in good.kinds]
-    cases = [_drawn(good, setting, draw, seed) for setting in settings for draw in range(_draws(setting))]
+    draws = [DRAWS.get(s.kind, 2) if s.joints or s.files else 1 for s in settings]
+    cases = [_drawn(good, s, draw, seed) for s, count in zip(settings, draws, strict=True) for draw in range(count)]
     order = np.random.default_rng([seed, zlib.crc32(good.name.encode())]).permutation(len(cases))
     unique = {case.id: case for case in (cases[k] for k in order)}
     return list(unique.values())
-
-
-def _draws(setting: Setting) -> int:
-    return DRAWS.get(setting.kind, 2) if setting.joints or setting.files else 1
 
 
 def _drawn(good: GoodSet, setting: Setting, draw: int, seed: int) -> Case:
@@ -95,16 +88,39 @@ def _drawn(good: GoodSet, setting: Setting, draw: int, seed: int) -> Case:
 
 
 def _settings(good: GoodSet) -> Iterator[Setting]:
-    yield from _units()
-    yield from _signs()
-    yield from _order()
-    yield from _spikes()
-    yield from _stuck()
-    yield from _delays()
-    yield from _time_units()
-    yield from _zeros()
-    yield from _labels(good)
-    yield from _mixed(good)
+    sizes = {"q-degrees": DEGREES, "q-dq-degrees": DEGREES, "dq-degrees": DEGREES, "dq-rpm": RPM, "tau-mNm": 1000.0}
+    for name, size in (sizes | {"tau-kNm": 0.001}).items():
+        yield from _scopes("units", name, Change("factor", tuple(name.split("-")[:-1]), size=size))
+    yield from _scopes("units", "tau-amperes", Change("amperes", ("tau",)))
+    for signals in (("q",), ("dq",), ("tau",), ("q", "dq")):
+        yield from _scopes("signs", "-".join(signals), Change("factor", signals, size=-1.0))
+    for signals, files in itertools.product((("q", "dq", "tau"), ("q",), ("dq",), ("tau",)), (1, 0)):
+        where = "one-file" if files else "all-files"
+        yield Setting("order", f"{'-'.join(signals)}-{where}", Change("exchange", signals), 2, files)
+    for signal, sizes_of in SPIKE_SIZES.items():
+        for size, samples, files in itertools.product(sizes_of, (1, 3, 10), (1, SEVERAL)):
+            name = f"{signal}-{size:g}-{samples}-samples-{files}-file{'s' * (files > 1)}"
+            yield Setting("spikes", name, Change("spike", (signal,), size=size, length=samples), 1, files)
+    for signal, seconds, files in itertools.product(("tau", "q", "dq"), (0.5, 3.0, math.inf), (1, SEVERAL)):
+        name = f"{signal}-{seconds:g}-s-{files}-file{'s' * (files > 1)}"
+        yield Setting("stuck", name, Change("stuck", (signal,), length=seconds), 1, files)
+    for signal, late_s in itertools.product(("tau", "dq"), (0.005, 0.02, 0.1)):
+        yield from _scopes("delays", f"{signal}-{1e3 * late_s:g}-ms", Change("delay", (signal,), size=late_s), (0,))
+    for name, size in {"ms-as-s": 1e3, "s-as-ms": 1e-3, "us-as-s": 1e6, "min-as-s": 60.0, "s-as-min": 1 / 60}.items():
+        yield from _scopes("time unit", name, Change("time-unit", size=size), (0,))
+    for name, size in {"0.1": 0.1, "0.5": 0.5, "turn": 2 * math.pi}.items():
+        yield from _scopes("zeros", f"{name}-rad", Change("zero", ("q",), size=size), (1,))
+    # `files` of 1 draws the recording whose labels are wrong, or that is another
+    for name, size in {"shifted": 0.5, "shifted-2": 2.0, "shifted-early": -2.0, "dropped-one": 0.0}.items():
+        for again in ("", "-again"):
+            yield Setting("labels", f"{name}{again}", Change(f"label-{name.split('-')[0]}", size=size), 0, 1)
+    for name in ("all-dropped", "other-file", *(("beyond", "milliseconds", "misspelt") if good.arm_toml else ())):
+        yield Setting("labels", name, Change(f"label-{name}"), 0, 1)
+    for share in (0.1, 0.3):
+        yield Setting("mixed files", f"load-{share:.0%}", Change("load", ("tau",), size=share), 0, 1)
+    for name in good.donors:
+        yield Setting("mixed files", f"other-{name}", Change(f"donor-{name}"), 0, 1)
+    yield Setting("mixed files", "half-rate", Change("thinned", size=2.0), 0, 1)
 
 
 def _scopes(kind: str, name: str, change: Change, joints: Sequence[int] = (1, 0)) -> Iterator[Setting]:
@@ -112,74 +128,6 @@ def _scopes(kind: str, name: str, change: Change, joints: Sequence[int] = (1, 0)
     for count, files in itertools.product(joints, (1, 0)):
         where = f"{'one' if count else 'all'}-joint{'s' * (not count)}-{'one-file' if files else 'all-files'}"
         yield Setting(kind, f"{name}-{where}", change, count, files)
-
-
-def _units() -> Iterator[Setting]:
-    yield from _scopes("units", "q-degrees", Change("factor", ("q",), size=DEGREES))
-    yield from _scopes("units", "q-dq-degrees", Change("factor", ("q", "dq"), size=DEGREES))
-    yield from _scopes("units", "dq-degrees", Change("factor", ("dq",), size=DEGREES))
-    yield from _scopes("units", "dq-rpm", Change("factor", ("dq",), size=RPM))
-    yield from _scopes("units", "tau-mNm", Change("factor", ("tau",), size=1000.0))
-    yield from _scopes("units", "tau-kNm", Change("factor", ("tau",), size=0.001))
-    yield from _scopes("units", "tau-amperes", Change("amperes", ("tau",)))
-
-
-def _signs() -> Iterator[Setting]:
-    for signals in (("q",), ("dq",), ("tau",), ("q", "dq")):
-        yield from _scopes("signs", "-".join(signals), Change("factor", signals, size=-1.0))
-
-
-def _order() -> Iterator[Setting]:
-    for signals in (("q", "dq", "tau"), ("q",), ("dq",), ("tau",)):
-        for files in (1, 0):
-            where = "one-file" if files else "all-files"
-            yield Setting("order", f"{'-'.join(signals)}-{where}", Change("exchange", signals), 2, files)
-
-
-def _spikes() -> Iterator[Setting]:
-    for signal, sizes in SPIKE_SIZES.items():
-        for size, samples, files in itertools.product(sizes, (1, 3, 10), (1, SEVERAL)):
-            name = f"{signal}-{size:g}-{samples}-samples-{files}-file{'s' * (files > 1)}"
-            yield Setting("spikes", name, Change("spike", (signal,), size=size, length=samples), 1, files)
-
-
-def _stuck() -> Iterator[Setting]:
-    for signal in ("tau", "q", "dq"):
-        for seconds, files in itertools.product((0.5, 3.0, math.inf), (1, SEVERAL)):
-            name = f"{signal}-{seconds:g}-s-{files}-file{'s' * (files > 1)}"
-            yield Setting("stuck", name, Change("stuck", (signal,), length=seconds), 1, files)
-
-
-def _delays() -> Iterator[Setting]:
-    for signal, late_s in itertools.product(("tau", "dq"), (0.005, 0.02, 0.1)):
-        yield from _scopes("delays", f"{signal}-{1e3 * late_s:g}-ms", Change("delay", (signal,), size=late_s), (0,))
-
-
-def _time_units() -> Iterator[Setting]:
-    for name, size in {"ms-as-s": 1e3, "s-as-ms": 1e-3, "us-as-s": 1e6, "min-as-s": 60.0, "s-as-min": 1 / 60}.items():
-        yield from _scopes("time unit", name, Change("time-unit", size=size), (0,))
-
-
-def _zeros() -> Iterator[Setting]:
-    for name, size in {"0.1": 0.1, "0.5": 0.5, "turn": 2 * math.pi}.items():
-        yield from _scopes("zeros", f"{name}-rad", Change("zero", ("q",), size=size), (1,))
-
-
-def _labels(good: GoodSet) -> Iterator[Setting]:
-    """A joint that is drawn stands for nothing here; `files` of 1 draws the recording whose labels are wrong."""
-    for name, size in {"shifted": 0.5, "shifted-2": 2.0, "shifted-early": -2.0, "dropped-one": 0.0}.items():
-        yield Setting("labels", name, Change(f"label-{name.split('-')[0]}", size=size), 0, 1)
-        yield Setting("labels", f"{name}-again", Change(f"label-{name.split('-')[0]}", size=size), 0, 1)
-    for name in ("all-dropped", "other-file", *(("beyond", "milliseconds", "misspelt") if good.arm_toml else ())):
-        yield Setting("labels", name, Change(f"label-{name}"), 0, 1)
-
-
-def _mixed(good: GoodSet) -> Iterator[Setting]:
-    for share in (0.1, 0.3):
-        yield Setting("mixed files", f"load-{share:.0%}", Change("load", ("tau",), size=share), 0, 1)
-    for name in good.donors:
-        yield Setting("mixed files", f"other-{name}", Change(f"donor-{name}"), 0, 1)
-    yield Setting("mixed files", "half-rate", Change("thinned", size=2.0), 0, 1)
 
 
 _facts: dict[str, Facts] = {}

@@ -16,11 +16,13 @@ from tauext_lab.sim.collect import simulate_recording
 from tauext_lab.sim.config import LinkConfig, RigConfig, changed_rig
 
 from tauext import _core
+from tauext.data.free_motion import cut
 from tauext.data.importing import import_dataset
-from tauext.data.recording import Recording
+from tauext.data.recording import FLAGS, Recording
+from tauext.data.recording import SIGNALS as ALL_SIGNALS
+from tauext.robot.inertial import point_inertia, six_of, with_more_at_end
 
 SIGNALS = ("q", "dq", "tau")
-STUCK_TRIES = 20
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,8 @@ def changed(recording: Recording, change: Change, facts: Facts, rng: np.random.G
     if change.what == "time-unit":
         return _time_unit(recording, change.size)
     if change.what == "thinned":
-        return _thinned(recording, int(change.size))
+        step = int(change.size)  # every so manieth row alone
+        return replace(cut(recording, slice(None, None, step)), rate_hz=recording.rate_hz / step)
     joints, size, time_s = list(change.joints) or list(range(len(recording.joints))), change.size, recording.time_s
     rows, sign = _rows_of(recording, change, joints, rng)
     signals = {name: getattr(recording, name).copy() for name in change.signals}
@@ -98,7 +101,7 @@ def _rows_of(recording: Recording, change: Change, joints: list[int], rng: np.ra
         return slice(begin, begin + count), float(rng.choice([-1, 1]))
     if change.what == "stuck" and np.isfinite(change.length):  # where the joint moves most, of some places
         count = min(round(change.length * recording.rate_hz), samples)
-        tries = rng.integers(0, max(1, samples - count), STUCK_TRIES)
+        tries = rng.integers(0, max(1, samples - count), 20)
         moved = [np.ptp(recording.q[at : at + count, joints], axis=0).max() for at in tries]
         begin = int(tries[int(np.argmax(moved))])
         return slice(begin, begin + count), 1.0
@@ -111,44 +114,15 @@ def _time_unit(recording: Recording, size: float) -> Recording:
     return replace(recording, t_ns=recording.t_ns[0] + steps, rate_hz=recording.rate_hz / size)
 
 
-def _thinned(recording: Recording, step: int) -> Recording:
-    """Every so manieth row alone."""
-    signals = {
-        name: values[::step]
-        for name in (*SIGNALS, "t_ns", "tau_jts", "tau_ext", "tau_ext_sensor", "q_des", "temperature", "contact",
-                     "contact_link")
-        if (values := getattr(recording, name)) is not None
-    }  # fmt: skip
-    return replace(recording, rate_hz=recording.rate_hz / step, **signals)
-
-
-SMOOTH_HZ = 10.0
-LOAD_RADIUS_M = 0.05
-DONOR_S = 30.0
-
-
 def with_load(recording: Recording, tree: _core.Tree, share: float) -> Recording:
-    """The recording as if a ball of this share of the arm's moving mass were carried at its end, on the same path.
-
-    dp/dt + beta of the arm with the ball less that without it, of smooth positions.
-    """
-    links = tree.links
-    mass = share * sum(link.mass for link in links)
-    last = links[-1]
-    # Twice the way to the link's centre of mass is about its end.
-    at = 2 * np.array(last.com)
-    both = (last.mass * np.array(last.com) + mass * at) / (last.mass + mass)
-    xx, yy, zz, xy, xz, yz = last.inertia
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) + 0.4 * mass * LOAD_RADIUS_M**2 * np.eye(3)
-    for one, place in ((last.mass, np.array(last.com)), (mass, at)):
-        arm = place - both
-        inertia += one * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-    last.mass, last.com = last.mass + mass, both.tolist()
-    last.inertia = [float(inertia[k]) for k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
-    loaded = _core.Tree(links, tree.gravity)
+    """The recording as if a ball of 5 cm and this share of the arm's moving mass were carried at its end, on the same
+    path: dp/dt + beta of the arm with the ball less that without it, of smooth positions."""
+    mass = share * sum(link.mass for link in tree.links)
+    at = 2 * np.array(tree.links[-1].com)  # twice the way to the link's centre of mass is about its end
+    inertia = point_inertia(mass, at) + 0.4 * mass * 0.05**2 * np.eye(3)
+    loaded = with_more_at_end(tree, np.r_[mass, mass * at, six_of(inertia)])
     time_s = recording.time_s
-    sos = butter(2, SMOOTH_HZ, fs=recording.rate_hz, output="sos")
-    q = sosfiltfilt(sos, recording.q, axis=0)
+    q = sosfiltfilt(butter(2, 10.0, fs=recording.rate_hz, output="sos"), recording.q, axis=0)
     dq = np.gradient(q, time_s, axis=0)
     (p, beta), (p_bare, beta_bare) = loaded.momentum(q, dq), tree.momentum(q, dq)
     torque = np.gradient(p - p_bare, time_s, axis=0) + beta - beta_bare
@@ -160,68 +134,45 @@ def as_if_of(donor: Recording, own: Recording) -> Recording:
     time_s = np.arange(int(donor.duration_s * own.rate_hz)) / own.rate_hz
     signals = {
         name: np.column_stack([np.interp(time_s, donor.time_s, column) for column in getattr(donor, name).T])
-        for name in ("q", "dq", "tau")
+        for name in SIGNALS
     }
-    own_signals = {name: None for name in ("tau_jts", "tau_ext", "tau_ext_sensor", "q_des", "temperature", "contact",
-                                           "contact_link")}  # fmt: skip
-    return replace(own, t_ns=np.round(time_s * 1e9).astype(np.int64), **(own_signals | signals))
+    nothing = dict.fromkeys(set(ALL_SIGNALS) | set(FLAGS))
+    return replace(own, **(nothing | {"t_ns": np.round(time_s * 1e9).astype(np.int64)} | signals))
 
 
 def other_rig(robot_sha256: str) -> dict[str, Recording]:
     """Recordings of another planar arm, and of the rig with 1.6 times the friction."""
-    arms = {
-        "arm": RigConfig(
-            links=(LinkConfig(0.4, 11.0, 0.18, 0.18, 0.12, 0.6), LinkConfig(0.25, 6.0, 0.11, 0.11, 0.05, 0.25))
-        ),
-        "friction": changed_rig(20, 1.6),
-    }
+    links = (LinkConfig(0.4, 11.0, 0.18, 0.18, 0.12, 0.6), LinkConfig(0.25, 6.0, 0.11, 0.11, 0.05, 0.25))
+    arms = {"arm": RigConfig(links=links), "friction": changed_rig(20, 1.6)}
     return {
-        name: simulate_recording(config, "free", DONOR_S, 7, 500 + k, robot_sha256)
+        name: simulate_recording(config, "free", 30.0, 7, 500 + k, robot_sha256)
         for k, (name, config) in enumerate(arms.items())
     }
 
 
 def cut_to(donor: Recording, own: Recording) -> Recording:
     """The donor's first samples, as long as the recording in whose place it stands, under its name."""
-    count = min(donor.samples, own.samples)
-    signals = {
-        name: values[:count]
-        for name in ("t_ns", "q", "dq", "tau", "tau_jts", "tau_ext", "tau_ext_sensor", "q_des", "contact",
-                     "contact_link", "temperature")
-        if (values := getattr(donor, name)) is not None
-    }  # fmt: skip
-    return replace(donor, name=own.name, robot_sha256=own.robot_sha256, **signals)
+    part = cut(donor, slice(min(donor.samples, own.samples)))
+    return replace(part, name=own.name, robot_sha256=own.robot_sha256)
 
 
 Spans = dict[str, list[list[float]]]
-BEYOND_S = 1000.0
 
 
 def broken_intervals(spans: Spans, file: str, what: str, size: float, rng: np.random.Generator) -> Spans:
-    """[contact.intervals] with one thing wrong about this file's.
-
-    Args:
-        what: label-dropped, label-all-dropped, label-shifted by `size` s, label-other-file, label-beyond the end,
-            label-milliseconds, label-misspelt.
-    """
-    new = {name: [list(span) for span in of] for name, of in spans.items()}
-    others = [name for name in spans if name != file]
-    if what == "label-dropped":
-        del new[file][int(rng.integers(len(new[file])))]
-    elif what == "label-all-dropped":
-        del new[file]
-    elif what == "label-shifted":
-        new[file] = [[max(0.0, start + size), max(0.1, end + size)] for start, end in new[file]]
-    elif what == "label-other-file":
-        new[file] = new[others[0]] if others else []
-    elif what == "label-beyond":
-        new[file] = [[start + BEYOND_S, end + BEYOND_S] for start, end in new[file]]
-    elif what == "label-milliseconds":
-        new[file] = [[1e3 * start, 1e3 * end] for start, end in new[file]]
-    else:
-        assert what == "label-misspelt"
-        new[file.replace("-", "_") if "-" in file else f"{file}s"] = new.pop(file)
-    return {name: of for name, of in new.items() if of}
+    """[contact.intervals] with one thing wrong about this file's: label-dropped, label-shifted by `size` s, ..."""
+    own, others = spans[file], [of for name, of in spans.items() if name != file]
+    one, misspelt = int(rng.integers(len(own))), file.replace("-", "_") if "-" in file else f"{file}s"
+    new: dict[str, Spans] = {
+        "label-dropped": {file: [*own[:one], *own[one + 1 :]]},
+        "label-all-dropped": {file: []},
+        "label-shifted": {file: [[max(0.0, start + size), max(0.1, end + size)] for start, end in own]},
+        "label-other-file": {file: others[0] if others else []},
+        "label-beyond": {file: [[start + 1000.0, end + 1000.0] for start, end in own]},
+        "label-milliseconds": {file: [[1e3 * start, 1e3 * end] for start, end in own]},
+        "label-misspelt": {file: [], misspelt: own},
+    }
+    return {name: of for name, of in (spans | new[what]).items() if of}
 
 
 def broken_flags(recording: Recording, other: Recording, what: str, size: float, rng: np.random.Generator) -> Recording:

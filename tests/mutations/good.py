@@ -35,22 +35,18 @@ RIG_MINUTES, RIG_JUDGED, RIG_TOUCHED = 4.0, 10, 2
 RIG_NM_PER_AMPERE = (10.0, 8.0)
 """Of drives of its size; the rig's own measure torque."""
 TAKES = (
-    Take("train-1", "train", 1),
-    Take("train-2", "train", 1, 4, 180),
-    Take("train-3", "train", 1, 0, 360),
-    Take("train-4", "train", 1, 4, 540),
-    Take("contacts-1", "collisions", 3.6, 34, 60),
-    Take("contacts-2", "collisions", 3.6, 34, 300),
-    Take("contacts-3", "collisions", 3.6, 34, 600),
+    Take("train-1", "train", 1), Take("train-2", "train", 1, 4, 180), Take("train-3", "train", 1, 0, 360),
+    Take("train-4", "train", 1, 4, 540), Take("contacts-1", "collisions", 3.6, 34, 60),
+    Take("contacts-2", "collisions", 3.6, 34, 300), Take("contacts-3", "collisions", 3.6, 34, 600),
     Take("donor", "none", 1),
-)
+)  # fmt: skip
 UR3_NM_PER_AMPERE = (12.925, 13.088, 9.358, 4.572, 4.572, 4.548)
 UR3_TRAIN = ("id1", "first10", "first10b", "first20")
 UR3_PUSHED = {"id2-test": (4.3, 36.3), "second10": (3.7, 11.5), "slow": (4.6, 14.4)}
 """Runs that nothing was trained on, and when they move and nothing happens to them, [s]."""
 UR3_TIMES = 4
 ALL_KINDS = (
-    "units", "signs", "order", "spikes", "stuck", "delays", "time unit", "zeros", "mixed files", "labels",
+    "units", "signs", "order", "spikes", "stuck", "delays", "time unit", "zeros", "mixed files", "labels"
 )  # fmt: skip
 
 

@@ -15,7 +15,8 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from tauext._core import ServoConstants
-from tauext.check.effort import HIGH, LOW, SEARCH_S
+from tauext.check.effort import HIGH, LOW
+from tauext.check.examination import SEARCH_S
 from tauext.check.examine import Diagnosis, examine
 from tauext.check.finding import Finding, codes
 from tauext.check.motion import MOVING_RAD_S

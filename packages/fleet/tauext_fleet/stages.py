@@ -29,8 +29,9 @@ def import_arm(work: Mapping[str, Any], part: Path) -> None:
 
 def check_arm(work: Mapping[str, Any], part: Path) -> str | None:
     """check.txt and check.json, as `tauext check --out` writes them; pictures are left to that command."""
-    from tauext.check.before_training import by_code, is_accepted
+    from tauext.check.before_training import is_accepted
     from tauext.check.examine import as_files, examine, gather
+    from tauext.check.finding import by_code
     from tauext.files.provenance import write_json
 
     recordings, free, robot = gather((Path(work["dataset"]),), path_of(work, "robot"))

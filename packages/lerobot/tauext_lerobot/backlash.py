@@ -26,7 +26,7 @@ import numpy as np
 
 from tauext.check.finding import Check, Facts, Finding, Found, Plot, Plots
 from tauext.check.motion import DEGREES
-from tauext.check.quantisation import position_step
+from tauext.check.sensors import position_step
 from tauext.data.recording import Recording
 from tauext_lerobot.drive_signal import LEAST_VISITS, motion_of, unsigned_visits
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tauext.check.quantisation import position_step, step_of
+from tauext.check.sensors import position_step, step_of
 from tauext.data.recording import Recording
 
 AROUND_S = 0.1

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from tauext.check.finding import Check, Facts, Finding, Found, Plot, Plots
-from tauext.check.quantisation import step_of
+from tauext.check.sensors import step_of
 from tauext.data.recording import Recording
 from tauext_lerobot.drive_signal import LEAST_VISITS, RestLaw, motion_of, rest_law, unsigned_visits
 

@@ -6,24 +6,24 @@ import hashlib
 import inspect
 import json
 import os
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
 from tauext import _core
 from tauext.bundle.estimates import OK
-from tauext.check.contacts import is_unlabelled_contact
-from tauext.check.examine import Diagnosis, examine, not_checked, quick_checks, unlabelled_contacts
-from tauext.check.finding import Finding, Severity, added, codes
+from tauext.check.examine import examine, not_checked, quick_checks, unlabelled_contacts
+from tauext.check.finding import Finding, Severity, added, by_code, codes, finding_lines
 from tauext.check.motion import MOVING_RAD_S
+from tauext.check.torque_changes import is_unlabelled_contact
 from tauext.data.dataset import stretches
 from tauext.data.free_motion import cut
-from tauext.data.importers.raw import short_list
 from tauext.data.labels import labels_key
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, FaultyDataError, TrainingError
@@ -37,10 +37,8 @@ from tauext.progress import Reporter
 
 WORTH_A_WARNING = 0.02
 """Share of rejected samples that causes a warning: results then follow from less motion than was recorded."""
-TOO_MUCH = 0.2
-"""Share that is an error: results would not represent the recorded motion."""
 REJECTED = "rejected"
-"""Code that accepts this error."""
+"""Code that accepts a share above a fifth, an error: results would not represent the recorded motion."""
 REMEDIES = {
     "wrong rate": "import the recordings again, or state their mean rate (arm.toml, [time] rate_hz)",
     "torque saturated": "check the robot file's torque limits and the unit of tau",
@@ -74,17 +72,16 @@ class Rejected:
 
     def __init__(self) -> None:
         self.samples = self.rejected = 0
-        self._causes: dict[str, int] = {}
+        self._causes: Counter[str] = Counter()
         self._shares: dict[str, float] = {}
 
     @classmethod
     def of(cls, bundle: _core.Bundle, recordings: Iterable[Recording], threads: int) -> Self:
         """Count the samples that a monitor with this bundle rejects in these recordings."""
         found = cls()
-        for recording in recordings:
-            signals = (recording.t_ns, recording.q, recording.dq, recording.tau)
-            estimates = _core.estimate(bundle, *signals, threads, torques=["tau_ext"])  # as few as possible
-            found.add(recording.name, estimates["health"], estimates["causes"])
+        for one in recordings:  # with as few torques as possible
+            estimates = _core.estimate(bundle, one.t_ns, one.q, one.dq, one.tau, threads, torques=["tau_ext"])
+            found.add(one.name, estimates["health"], estimates["causes"])
         return found
 
     def add(self, name: str, health: np.ndarray, causes: np.ndarray | None) -> None:
@@ -96,8 +93,7 @@ class Rejected:
         if bad.any() and not healthy.any():
             bad = bits != 0  # without the warm-up, which has no cause
         for cause, samples in zip(*np.unique(bits[bad], return_counts=True), strict=True):
-            for text in _core.cause_names(int(cause)):
-                self._causes[text] = self._causes.get(text, 0) + int(samples)
+            self._causes.update(dict.fromkeys(_core.cause_names(int(cause)), int(samples)))
         self._shares[name] = float(bad.mean()) if len(bad) else 0.0
         self.rejected, self.samples = self.rejected + int(bad.sum()), self.samples + len(bad)
 
@@ -107,27 +103,18 @@ class Rejected:
 
     def summary(self) -> RejectedTime:
         worst = max(self._shares, key=self._shares.__getitem__, default="")
-        causes = sorted(self._causes.items(), key=lambda cause: -cause[1])
-        return RejectedTime(
-            share=round(self.share, 4),
-            causes={name: round(count / self.samples, 4) for name, count in causes},
-            worst=WorstRecording(worst, round(self._shares.get(worst, 0.0), 4)),
-        )
+        causes = {name: round(count / self.samples, 4) for name, count in self._causes.most_common()}
+        return RejectedTime(round(self.share, 4), causes, WorstRecording(worst, round(self._shares.get(worst, 0.0), 4)))
 
     def warning(self, motion: str, accept: Collection[str] = (REJECTED,)) -> str:
-        """Message with cause, recording and remedy; empty if few samples are rejected.
-
-        Args:
-            motion: name of the motion, such as `its own training motion`.
-            accept: codes that are accepted.
+        """Message with cause, recording and remedy, if more than a few samples of this motion are rejected; else empty.
 
         Raises:
-            TrainingError: more than TOO_MUCH is rejected, and REJECTED is not accepted.
+            TrainingError: more than a fifth is rejected, and REJECTED is not accepted.
         """
         if self.share <= WORTH_A_WARNING:
             return ""
-        found = self.summary()
-        causes, worst = found.causes, found.worst
+        causes, worst = self.summary().causes, self.summary().worst
         assert worst is not None
         named = ", ".join(f"{name} {share:.1%}" for name, share in causes.items()) or "warming up"
         remedy = next((REMEDIES[name] for name in causes if name in REMEDIES), "inspect the data with `tauext check`")
@@ -135,7 +122,7 @@ class Rejected:
             f"a monitor with this bundle rejects {self.share:.1%} of {motion} ({named}), {worst.share:.0%} of "
             f"'{worst.recording}'"
         )
-        if self.share > TOO_MUCH and REJECTED not in accept:
+        if self.share > 0.2 and REJECTED not in accept:
             raise TrainingError(f"{words}: {remedy}; --accept {REJECTED} continues with the rest")
         return f"{words}; the results follow from the rest only: {remedy}"
 
@@ -143,8 +130,8 @@ class Rejected:
 # --- Findings, cached by the content of the data, so that the same data are not checked twice.
 
 
-def remembered(parts: Iterable[str], find: Callable[[], list[Finding]]) -> list[Finding]:
-    """Return the cached findings for these parts, or find and cache them.
+def remembered(parts: Sequence[str], find: Callable[[], list[Finding]]) -> list[Finding]:
+    """Return the cached faults and warnings for these parts, or find and cache them.
 
     A damaged cache file is ignored. A cache that cannot be written is no error: the next call checks again.
 
@@ -156,8 +143,7 @@ def remembered(parts: Iterable[str], find: Callable[[], list[Finding]]) -> list[
     try:
         return [Finding(**entry) for entry in json.loads(path.read_text())]
     except (OSError, ValueError, TypeError, AssertionError):
-        pass
-    found = find()
+        found = [finding for finding in find() if finding.severity != "note"]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as part:
@@ -194,47 +180,40 @@ def digest_of(recording: Recording) -> str:
 
 
 def file_digest(path: Path) -> str:
-    """Digest of a file's bytes; an unreadable file has the digest of no content."""
-    digest = hashlib.sha256()
+    """Digest of a file's bytes; an unreadable file has none."""
     try:
         with path.open("rb") as file:
-            while block := file.read(1 << 20):
-                digest.update(block)
+            return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError:
-        pass
-    return digest.hexdigest()
+        return ""
 
 
 # --- Use of findings: faults are refused unless accepted; warnings are reported and stored.
 
 
-LISTED = 8
-"""Most findings of a code with evidence listed; further ones are counted."""
-NARROW = 2
-"""Most joints named in a suggested --accept; with more, the code is accepted for all joints."""
-
-
-def entries(findings: Iterable[Finding]) -> list[dict]:
-    """Entries by code and joint: number of recordings, and name and evidence of the first one."""
+def entries(findings: Iterable[Finding], severity: Severity) -> list[dict]:
+    """Entries by code and joint of this severity: number of recordings, names of the first eight, evidence of the
+    first."""
     found: dict[tuple[str, str | None], dict] = {}
-    for finding in findings:
-        entry = found.setdefault(
-            (finding.code, finding.joint),
-            {"code": finding.code, "joint": finding.joint, "recordings": [], "count": 0, "evidence": finding.evidence},
-        )
-        entry["count"] += 1
-        if finding.recording and len(entry["recordings"]) < LISTED:
-            entry["recordings"].append(finding.recording)
+    for one in findings:
+        if one.severity == severity:
+            new: dict = {"code": one.code, "joint": one.joint, "recordings": [], "count": 0, "evidence": one.evidence}
+            entry = found.setdefault((one.code, one.joint), new)
+            entry["count"] += 1
+            if one.recording and len(entry["recordings"]) < 8:
+                entry["recordings"].append(one.recording)
     return list(found.values())
 
 
-def expect_codes(accept: Sequence[str], joints: Collection[str] | None = None) -> None:
-    """Raise ConfigError for an unknown code or joint.
+def sentence(entry: dict) -> str:
+    """Format an entry on one line."""
+    at = f" ({entry['joint']})" if entry["joint"] else ""
+    more = f" (and {entry['count'] - 1} more)" if entry["count"] > 1 else ""
+    return f"{entry['code']}{at}: {entry['evidence']}{more}"
 
-    Args:
-        accept: CODE or CODE:joint.
-        joints: names of the joints; None: not known yet.
-    """
+
+def expect_codes(accept: Sequence[str], joints: Collection[str] | None = None) -> None:
+    """Raise ConfigError for an unknown code or joint in CODE or CODE:joint; `joints` is None while it is not known."""
     for text in accept:
         code, colon, joint = text.partition(":")
         if code not in codes() and text != REJECTED:
@@ -250,22 +229,21 @@ def is_accepted(finding: Finding, accept: Collection[str]) -> bool:
 
 
 def expect_accepted(findings: Iterable[Finding], accept: Collection[str], where: str, refused: str, how: str) -> None:
-    """Raise FaultyDataError if a fault is not accepted; the message lists all of them.
-
-    Args:
-        where: name of what has the faults, for the message.
-        refused: what is refused for them, in the plural.
-        how: line of the message above the option that accepts them.
-    """
+    """Raise FaultyDataError if a fault of `where` is not accepted; the message lists all of them, says what is refused,
+    and how to accept them."""
     faults = [one for one in findings if one.severity == "fault" and not is_accepted(one, accept)]
     if not faults:
         return
     count = len(by_code(faults))
+    options = []  # limited to their joints where these are few
+    for code, same in by_code(faults).items():
+        joints = list(dict.fromkeys(finding.joint for finding in same))
+        options += [f"{code}:{joint}" for joint in joints] if all(joints) and len(joints) <= 2 else [code]
     lines = [
         f"{where}: {count} fault{'' if count == 1 else 's'}, so {refused} are refused",
         *finding_lines(faults),
         f"  {how}",
-        f"      --accept {' '.join(accepting(faults))}",
+        f"      --accept {' '.join(options)}",
     ]
     raise FaultyDataError("\n".join(lines), faults)
 
@@ -273,92 +251,38 @@ def expect_accepted(findings: Iterable[Finding], accept: Collection[str], where:
 def refuse_faults(
     results: Mapping[str, Sequence[Finding]], where: str, accept: Sequence[str], report: Reporter
 ) -> dict:
-    """Report warnings and accepted faults, each once; returns them for provenance, as plain JSON.
-
-    Args:
-        results: findings by the set of recordings.
-        where: name of the data, for the message.
+    """Report warnings and accepted faults of each set of recordings; returns them for provenance, as plain JSON.
 
     Raises:
-        FaultyDataError: a fault is not accepted; the message lists all of them.
+        FaultyDataError: a fault is not accepted; the message lists all of them, and where they are.
     """
     findings = [finding for result in results.values() for finding in result]
     how = "`tauext check --out DIR` draws them. To use them unchanged, accept the faults; the bundle records it:"
     expect_accepted(findings, accept, where, "these data", how)
-    for entry in _entries(findings, "fault"):
-        report.say(f"accepted: {sentence(entry)}")
-    for entry in _entries(findings, "warning"):
-        report.say(f"warning: {sentence(entry)}")
+    severities: dict[str, Severity] = {"accepted": "fault", "warning": "warning"}
+    for word, severity in severities.items():
+        for entry in entries(findings, severity):
+            report.say(f"{word}: {sentence(entry)}")
     return {
-        name: {"accepted": _entries(result, "fault"), "warnings": _entries(result, "warning")}
+        name: {"accepted": entries(result, "fault"), "warnings": entries(result, "warning")}
         for name, result in results.items()
     }
-
-
-def _entries(findings: Iterable[Finding], severity: Severity) -> list[dict]:
-    return entries(finding for finding in findings if finding.severity == severity)
-
-
-def sentence(entry: dict) -> str:
-    """Format an entry of facts on one line."""
-    at = f" ({entry['joint']})" if entry["joint"] else ""
-    more = f" (and {entry['count'] - 1} more)" if entry["count"] > 1 else ""
-    return f"{entry['code']}{at}: {entry['evidence']}{more}"
-
-
-def finding_lines(findings: Sequence[Finding]) -> list[str]:
-    """Lines for the terminal: code, joints, recordings and evidence, and the remedy once a code."""
-    lines = []
-    for code, same in by_code(findings).items():
-        joints = list(dict.fromkeys(f.joint for f in same if f.joint))
-        recordings = list(dict.fromkeys(f.recording for f in same if f.recording))
-        named = [f"joint{'s' * (len(joints) > 1)} {', '.join(joints)}"] if joints else []
-        named += [f"recording{'s' * (len(recordings) > 1)} {short_list(recordings, LISTED)}"] if recordings else []
-        about = f" ({'; '.join(named)})" if named else ""
-        lines.append(f"  {code}{about}: {codes()[code]}")
-        for finding in same[:LISTED]:
-            lines.append(f"      {f'{finding.joint}: ' if finding.joint else ''}{finding.evidence}")
-        if len(same) > LISTED:
-            lines.append(f"      and {len(same) - LISTED} more")
-        lines += [f"      -> {advice}" for advice in dict.fromkeys(f.advice for f in same)]
-    return lines
-
-
-def accepting(faults: Sequence[Finding]) -> list[str]:
-    """Values of --accept for these faults, limited to their joints where these are few."""
-    words = []
-    for code, same in by_code(faults).items():
-        joints = list(dict.fromkeys(finding.joint for finding in same))
-        words += [f"{code}:{joint}" for joint in joints] if all(joints) and len(joints) <= NARROW else [code]
-    return words
-
-
-def by_code(findings: Sequence[Finding]) -> dict[str, list[Finding]]:
-    """Group findings by code, in order of first occurrence."""
-    found: dict[str, list[Finding]] = {}
-    for finding in findings:
-        found.setdefault(finding.code, []).append(finding)
-    return found
 
 
 # --- All checks read a share of the training data; quick checks and the check for contacts read every sample.
 
 
-MOST_MOVING_S = 180.0
-"""Motion that all checks read, [s], the same share from the beginning of each recording. Order, axes, signs and scales
-show within half a minute; the quick checks find rare faults."""
-LEAST_MOVING_S = 20.0
-"""Least time of each recording, [s]: less is too little for a comparison with the others."""
-LEAST_ROWS = 200
-"""Least samples of each recording: with stamps in a wrong unit an hour may last seconds."""
-FITTED = ("effort-scale", "effort-motor-side")
-"""Codes that are no fault if training finds the factor."""
-TOO_FEW = ("too-short", "torque-changes")
-"""Codes whose warnings cannot be decided on a share of the recordings: of the length, and of friction that changes."""
-RARE = ("spike",)
-"""Codes that a share of the recordings may miss."""
-AT_A_TIME = 4
-"""Most recordings checked in parallel."""
+@dataclass(frozen=True)
+class ShareRules:
+    """The share of the recordings that all checks read: order, axes, signs and scales show within half a minute."""
+
+    moving_s: float = 180.0  # of all, the same share from the beginning of each recording
+    recording_s: float = 20.0  # least of each recording: less is too little for a comparison with the others
+    rows: int = 200  # least of each recording: with stamps in a wrong unit an hour may last seconds
+    workers: int = 4  # recordings checked in parallel
+
+
+SHARE = ShareRules()
 
 
 def check_training(
@@ -382,56 +306,41 @@ def check_training(
     """
     if missing := not_checked(recordings):
         report.say(missing)
-    settings = [str(finds_constants), "none" if robot is None else file_digest(robot), _words(limits_nm)]
-    workers = _workers(threads)
-    with ThreadPoolExecutor(workers) as pool:
-        digests = list(pool.map(digest_of, recordings))
 
     def find() -> list[Finding]:
         few = shares(recordings)
-        diagnoses: list[Diagnosis] = []
-
-        def examined() -> list[Finding]:
-            diagnoses.append(examine(few, robot))
-            return diagnoses[0].findings
-
-        tasks: list[Callable[[], list[Finding]]] = [examined]
+        tasks: list[Callable] = [partial(examine, few, robot)]
         tasks += [partial(quick_checks, one, limits_nm) for one in recordings]
-        general, *quick = _in_parallel(tasks, workers, "check the data", report)
+        diagnosis, *quick = _in_parallel(tasks, threads, "check the data", report)
+        general = diagnosis.findings
         if any(a is not b for a, b in zip(few, recordings, strict=True)):
-            general = [f for f in general if f.code not in TOO_FEW or f.severity == "fault"]
-            if not diagnoses[0].spoiled and not any(f.severity == "fault" for f in general):
+            # a share cannot decide on a length, and on friction that changes
+            general = [f for f in general if f.code not in ("too-short", "torque-changes") or f.severity == "fault"]
+            if not diagnosis.spoiled and not any(f.severity == "fault" for f in general):
                 general = [f for f in general if not is_unlabelled_contact(f)]
-                general += unlabelled_contacts(recordings, diagnoses[0])
-        return together([f for f in general if not (finds_constants and f.code in FITTED)], quick)
+                general += unlabelled_contacts(recordings, diagnosis)
+        fitted = ("effort-scale", "effort-motor-side") if finds_constants else ()
+        return together([f for f in general if f.code not in fitted], quick)
 
-    return _without_notes(remembered(["training", *settings, *digests], find))
+    settings = [str(finds_constants), "none" if robot is None else file_digest(robot), _words(limits_nm)]
+    return remembered(["training", *settings, *_mapped(digest_of, recordings, threads)], find)
 
 
 def check_calibration(
     files: Sequence[Path], limits_nm: np.ndarray | None, threads: int, report: Reporter
 ) -> list[Finding]:
-    """Faults and warnings in calibration recordings, by the quick checks; they are cached by content.
+    """Faults and warnings in calibration recordings, by the quick checks; they are cached by content."""
 
-    Args:
-        files: the recordings.
-        limits_nm: see check_training().
-    """
-    workers = _workers(threads)
-    with ThreadPoolExecutor(workers) as pool:
-        digests = [f"{file.name} {digest}" for file, digest in zip(files, pool.map(file_digest, files), strict=True)]
-    digests += sorted({key for folder in {file.parent for file in files} if (key := labels_key(folder))})
+    def checked(load: Callable[[], Recording]) -> list[Finding]:
+        return quick_checks(load(), limits_nm)
 
     def find() -> list[Finding]:
-        def checked(load: Callable[[], Recording]) -> list[Finding]:
-            return quick_checks(load(), limits_nm)
+        tasks = [partial(checked, load) for load in stretches(files)]
+        return [f for found in _in_parallel(tasks, threads, "check the calibration recordings", report) for f in found]
 
-        found = _in_parallel(
-            [partial(checked, load) for load in stretches(files)], workers, "check the calibration recordings", report
-        )
-        return [finding for of_recording in found for finding in of_recording]
-
-    return _without_notes(remembered(["calibration", _words(limits_nm), *digests], find))
+    digests = _mapped(lambda file: f"{file.name} {file_digest(file)}", files, threads)
+    digests += sorted({key for folder in {file.parent for file in files} if (key := labels_key(folder))})
+    return remembered(["calibration", _words(limits_nm), *digests], find)
 
 
 def check_for_bundle(
@@ -455,41 +364,44 @@ def check_for_bundle(
 
 
 def shares(recordings: Sequence[Recording]) -> list[Recording]:
-    """Cut each recording to its share of MOST_MOVING_S of motion, from the beginning; unchanged if they have less."""
+    """Cut each recording to its share of the motion that is checked; unchanged if they have less."""
     moving = [np.cumsum((np.abs(r.dq) > MOVING_RAD_S).any(axis=1)) / r.rate_hz for r in recordings]
-    share = min(1.0, MOST_MOVING_S / max(1e-9, sum(float(m[-1]) for m in moving)))
+    share = min(1.0, SHARE.moving_s / max(1e-9, sum(float(m[-1]) for m in moving)))
     if share == 1.0:
         return list(recordings)
-    ends = [max(LEAST_ROWS, int(np.searchsorted(m, max(LEAST_MOVING_S, share * m[-1]))) + 1) for m in moving]
+    ends = [max(SHARE.rows, int(np.searchsorted(m, max(SHARE.recording_s, share * m[-1]))) + 1) for m in moving]
     return [r if end >= r.samples else cut(r, slice(0, end)) for r, end in zip(recordings, ends, strict=True)]
 
 
 def together(general: Sequence[Finding], quick: Iterable[Sequence[Finding]]) -> list[Finding]:
-    """Combine the findings of all checks with the quick checks' further faults and rare warnings.
-
-    Other warnings of a single recording are dropped.
-    """
+    """Combine the findings of all checks with the quick checks' further faults, and their spikes, which a share of the
+    recordings may miss. Other warnings of a single recording are dropped."""
     reported = {(f.code, f.joint, f.recording) for f in general}
     found = list(general)
-    for finding in (finding for of_recording in quick for finding in of_recording):
-        if finding.severity != "fault" and finding.code not in RARE:
-            continue
-        same = {(finding.code, joint, name) for joint in (finding.joint, None) for name in (finding.recording, None)}
-        if not reported & same:
-            found.append(finding)
+    for one in (one for of_recording in quick for one in of_recording):
+        same = {(one.code, joint, name) for joint in (one.joint, None) for name in (one.recording, None)}
+        if (one.severity == "fault" or one.code == "spike") and not reported & same:
+            found.append(one)
     return found
 
 
-def _without_notes(findings: Iterable[Finding]) -> list[Finding]:
-    return [finding for finding in findings if finding.severity != "note"]
+def _words(limits_nm: np.ndarray | None) -> str:
+    return "unknown" if limits_nm is None else ", ".join(f"{limit:g}" for limit in limits_nm)
 
 
-def _in_parallel(
-    tasks: Sequence[Callable[[], list[Finding]]], workers: int, title: str, report: Reporter
-) -> list[list[Finding]]:
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(min(threads or os.cpu_count() or 1, SHARE.workers))
+
+
+def _mapped(change: Callable[[Any], str], of: Sequence[Any], threads: int) -> list[str]:
+    with _pool(threads) as pool:
+        return list(pool.map(change, of))
+
+
+def _in_parallel(tasks: Sequence[Callable], threads: int, title: str, report: Reporter) -> list:
     """Run the tasks; results come in order, and the first error ends all tasks."""
-    with report.progress(title) as show, ThreadPoolExecutor(workers) as pool:
-        futures: list[Future[list[Finding]]] = [pool.submit(task) for task in tasks]
+    with report.progress(title) as show, _pool(threads) as pool:
+        futures = [pool.submit(task) for task in tasks]
         try:
             for done, future in enumerate(as_completed(futures), 1):
                 future.result()
@@ -498,11 +410,3 @@ def _in_parallel(
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return [future.result() for future in futures]
-
-
-def _words(limits_nm: np.ndarray | None) -> str:
-    return "unknown" if limits_nm is None else ", ".join(f"{limit:g}" for limit in limits_nm)
-
-
-def _workers(threads: int) -> int:
-    return min(threads or os.cpu_count() or 1, AT_A_TIME)

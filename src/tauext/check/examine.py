@@ -9,12 +9,13 @@ from pathlib import Path, PurePath
 import numpy as np
 
 from tauext import _core, plugins
-from tauext.check.causes import causes_only
-from tauext.check.checks import CHECKS, STEPS, Examination, run
-from tauext.check.contacts import unlabelled_findings
+from tauext.check.checks import CHECKS, STEPS, causes_only, run
+from tauext.check.examination import Examination
 from tauext.check.finding import SEVERITIES, Facts, Finding, Found, Plots, Severity
 from tauext.check.joint_fit import FitRows, JointFit
-from tauext.check.sensors import noise_nm, normal_ranges, spikes_of, steps_of, torque_step_nm, without_spikes
+from tauext.check.sensors import noise_nm, steps_of, torque_step_nm
+from tauext.check.spikes import normal_ranges, spikes_of, without_spikes
+from tauext.check.torque_changes import unlabelled_findings
 from tauext.data.dataset import ROBOT_FILES, load_dataset
 from tauext.data.recording import Recording
 from tauext.data.recording_file import describe, load_recording
@@ -34,21 +35,14 @@ class Diagnosis:
 
     joints: tuple[str, ...]
     findings: list[Finding]
-    facts: list[Facts]
-    """Measured quantities of each joint, by names that contain their units."""
-    rows: FitRows | None = None
-    """Corrected data of the last fit; None: nothing moves."""
+    facts: list[Facts]  # measured quantities of each joint, by names that contain their units
+    rows: FitRows | None = None  # corrected data of the last fit; None: nothing moves
     fits: list[JointFit] = field(default_factory=list)
-    tree: _core.Tree | None = None
-    """The model, with corrected load or gravity; None: no model."""
-    lag_s: float = 0.0
-    """Delay of the torque, [s]."""
-    plots: list[Callable[[], Plots]] = field(default_factory=list)
-    """Of the checks of packages."""
-    torque_unit: str = "Nm"
-    """Unit of the recordings' tau: Nm or A."""
-    spoiled: bool = False
-    """Whether a fault of the signals may look like a contact, so that none were searched for."""
+    tree: _core.Tree | None = None  # the model, with corrected load or gravity; None: no model
+    lag_s: float = 0.0  # delay of the torque, [s]
+    plots: list[Callable[[], Plots]] = field(default_factory=list)  # of the checks of packages
+    torque_unit: str = "Nm"  # unit of the recordings' tau: Nm or A
+    spoiled: bool = False  # whether a fault of the signals may look like a contact, so that none were searched for
 
     @property
     def faulty(self) -> bool:
@@ -85,12 +79,10 @@ def examine(
     with report.progress("check") as show:
         found = run(CHECKS, x, lambda step: show(STEPS.index(step), len(STEPS), step))
         show(len(STEPS), len(STEPS), "steps")
-    found = without_scale(found, x.added)
-    if in_amperes(x.recordings) or from_amperes(x.recordings):
-        found = _of_currents(found, in_amperes(x.recordings))
-    rows, fits, tree = (x.rows, x.fits, x.tree) if x.has_fit else (None, [], x.tree)
+    found = _of_currents(without_scale(found, x.added), x.recordings)
+    rows, fits = (x.rows, x.fits) if x.has_fit else (None, [])
     plots, unit = [one.plots for one in x.added if one.plots is not None], torque_unit(x.recorded)
-    return Diagnosis(x.joints, causes_only(found), facts_of(x), rows, fits, tree, x.lag_s, plots, unit, x.spoiled)
+    return Diagnosis(x.joints, causes_only(found), facts_of(x), rows, fits, x.tree, x.lag_s, plots, unit, x.spoiled)
 
 
 def not_checked(recordings: Sequence[Recording]) -> str | None:
@@ -116,13 +108,12 @@ def without_scale(found: Sequence[Finding], added: Sequence[Found]) -> list[Find
     return [f for f in found if not (f.code in codes and (f.joint in other or (f.joint is None and other)))]
 
 
-def _of_currents(found: Sequence[Finding], unknown: bool) -> list[Finding]:
-    """Warnings instead of faults: training finds torque constants, and without them the size of gravity is weak
-    evidence.
-
-    Args:
-        unknown: the import gave no torque constants.
-    """
+def _of_currents(found: list[Finding], recordings: Sequence[Recording]) -> list[Finding]:
+    """Warnings instead of faults for recordings of currents: training finds torque constants, and without them the size
+    of gravity is weak evidence."""
+    unknown = in_amperes(recordings)
+    if not (unknown or from_amperes(recordings)):
+        return found
 
     def advice(finding: Finding) -> str:
         if not unknown:
@@ -172,14 +163,12 @@ def facts_of(x: Examination) -> list[Facts]:
 # --- The diagnosis as text for a terminal and as plain data for a script.
 
 
-TORQUE = "unit of tau"
-"""Unit of columns that have the unit of the recordings' torque."""
 COLUMNS = (
     ("torque_is", "tau is", "", ""),
     ("range_rad", "range", "rad", ".2f"),
     ("speed_rad_s", "speed", "rad/s", ".2f"),
-    ("torque_nm", "torque", TORQUE, ".3g"),
-    ("torque_noise_nm", "noise", TORQUE, ".2g"),
+    ("torque_nm", "torque", None, ".3g"),
+    ("torque_noise_nm", "noise", None, ".2g"),
     ("torque_step_nm", "tau step", "", ".3g"),
     ("position_step_rad", "q step", "rad", ".3g"),
     ("velocity_step_rad_s", "dq step", "rad/s", ".2g"),
@@ -188,9 +177,9 @@ COLUMNS = (
     ("velocity_delay_ms", "dq late", "ms", ".1f"),
     ("torque_delay_ms", "tau late", "ms", ".1f"),
     ("gravity_factor", "tau by g", "", ".3f"),
-    ("error_nm", "unexplained", TORQUE, ".2g"),
+    ("error_nm", "unexplained", None, ".2g"),
 )
-"""Measured quantities of a joint: name, heading, unit and format."""
+"""Measured quantities of a joint: name, heading, unit, None: that of the recordings' tau, and format."""
 
 
 def as_text(diagnosis: Diagnosis) -> str:
@@ -210,12 +199,7 @@ def as_text(diagnosis: Diagnosis) -> str:
 
 
 def as_files(diagnosis: Diagnosis, recordings: Iterable[str], without_model: bool) -> tuple[str, dict]:
-    """Contents of check.txt and check.json.
-
-    Args:
-        recordings: names of the examined recordings.
-        without_model: whether they were checked without a robot file.
-    """
+    """Contents of check.txt and check.json, of recordings of these names."""
     text = as_text(diagnosis)
     if without_model:
         text = f"no robot model: order, scale, gravity and payload cannot be checked\n{text}"
@@ -235,8 +219,8 @@ def as_data(diagnosis: Diagnosis) -> dict:
 
 def _table(diagnosis: Diagnosis) -> list[str]:
     shown = [c for c in COLUMNS if any(c[0] in fact for fact in diagnosis.facts)]
-    units = {TORQUE: diagnosis.torque_unit}
-    head = ["joint", *(f"{title} {units.get(unit, unit)}".strip() for _, title, unit, _ in shown)]
+    own = diagnosis.torque_unit
+    head = ["joint", *(f"{title} {own if unit is None else unit}".strip() for _, title, unit, _ in shown)]
     rows = [
         [joint, *(format(fact[key], form) if key in fact else "-" for key, _, _, form in shown)]
         for joint, fact in zip(diagnosis.joints, diagnosis.facts, strict=True)
@@ -247,14 +231,13 @@ def _table(diagnosis: Diagnosis) -> list[str]:
 # --- Input: recordings of a dataset, a folder or by name, and the robot file beside them.
 
 
-MOST_MINUTES = 30.0
-"""Longest time examined, with recordings left out evenly; half an hour suffices to detect wrong units."""
-
-
 def gather(
-    data: tuple[Path, ...], robot: Path | None, report: Reporter = SILENT
+    data: tuple[Path, ...], robot: Path | None, report: Reporter = SILENT, most_minutes: float = 30.0
 ) -> tuple[list[Recording], set[str], Path | None]:
-    """Load recordings, up to MOST_MINUTES; also returns names of those in free sets, and the robot file.
+    """Load recordings, of many every second or third; also returns names of those in free sets, and the robot file.
+
+    Args:
+        most_minutes: longest time that is loaded; half an hour suffices to detect wrong units.
 
     Raises:
         ConfigError: nothing to check.
@@ -278,43 +261,28 @@ def gather(
         log = next((log for path in data if path.is_dir() and (log := first_log(path))), None)
         remedy = f"; {import_first(log)}" if log is not None else ""
         raise ConfigError(f"{', '.join(map(str, data)) or 'data'}: no recording (*.parquet) to check{remedy}")
-    return _evenly(files, report), free, robot_file
-
-
-def _evenly(files: list[Path], report: Reporter) -> list[Recording]:
-    """Load the recordings; of too many, every second or third."""
     heads = [describe(file) for file in files]
     minutes = sum(head.samples / head.rate_hz for head in heads) / 60
-    stride = max(1, -int(-minutes // MOST_MINUTES))
-    chosen, recordings = files[::stride], []
+    chosen, recordings = files[:: max(1, -int(-minutes // most_minutes))], []
     with report.progress("read") as show:
         for file in chosen:
             recordings.append(load_recording(file))
             show(len(recordings), len(chosen), "recordings")
-    return recordings
+    return recordings, free, robot_file
 
 
 # --- Checks of the whole of a training's recordings, of which only a share is examined.
 
 
 def quick_checks(recording: Recording, torque_limits_nm: np.ndarray | None) -> list[Finding]:
-    """Check one recording for unsigned efforts, clock, spikes, stuck signals, degrees and unit of time.
-
-    Args:
-        torque_limits_nm: (joints,), infinite where the robot file has none; None: no robot file.
-    """
+    """Check one recording for unsigned efforts, clock, spikes, stuck signals, degrees and unit of time."""
     x = Examination([recording], torque_limits_nm=torque_limits_nm)
     found = run((check for check in CHECKS if check.quick), x, lambda step: None)
     return sorted((replace(f, recording=recording.name) for f in found), key=lambda f: SEVERITIES.index(f.severity))
 
 
 def unlabelled_contacts(recordings: Sequence[Recording], diagnosis: Diagnosis) -> list[Finding]:
-    """Find contacts without a label, as examine() does, on all of the recordings.
-
-    Args:
-        recordings: of the same joints.
-        diagnosis: of a share of them, without a fault.
-    """
+    """Find contacts without a label, as examine() does, on all recordings of a share of which the diagnosis is."""
     normal = normal_ranges(recordings)
     corrected = [without_spikes(r, spikes_of(r, normal)) for r in recordings]
     return unlabelled_findings(corrected, diagnosis.tree, diagnosis.lag_s)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Literal
@@ -10,12 +10,11 @@ from typing import Literal
 import numpy as np
 
 from tauext import plugins
+from tauext.data.importers.raw import short_list
 from tauext.data.recording import Recording
 
 Severity = Literal["fault", "warning", "note"]
 SEVERITIES: tuple[Severity, ...] = ("fault", "warning", "note")
-NEGATE_EFFORT = "negate the effort at import (`sign = -1` in [signals.tau])"
-"""Remedy of every `effort-sign`."""
 
 CODES = {
     "beyond-limit": "a position or torque exceeds the robot file's limit",
@@ -66,21 +65,40 @@ CODES = {
 class Finding:
     """One fault, warning or note about data or robot file."""
 
-    code: str
-    """Key of codes()."""
+    code: str  # key of codes()
     severity: Severity
     """fault: a bundle trained on these data is wrong. warning: it may be wrong or inaccurate. note: information."""
-    joint: str | None
-    """Joint concerned; None: all joints, or no single one."""
-    evidence: str
-    """Measured evidence, in numbers."""
-    advice: str
-    """The remedy."""
-    recording: str | None = None
-    """Name of the recording concerned; None: all, or several."""
+    joint: str | None  # joint concerned; None: all joints, or no single one
+    evidence: str  # measured evidence, in numbers
+    advice: str  # the remedy
+    recording: str | None = None  # name of the recording concerned; None: all, or several
 
     def __post_init__(self) -> None:
         assert self.code in codes() and self.severity in SEVERITIES
+
+
+def by_code(findings: Iterable[Finding]) -> dict[str, list[Finding]]:
+    """Group findings by code, in order of first occurrence."""
+    found: dict[str, list[Finding]] = {}
+    for finding in findings:
+        found.setdefault(finding.code, []).append(finding)
+    return found
+
+
+def finding_lines(findings: Iterable[Finding], most: int = 8) -> list[str]:
+    """Lines for the terminal: code, joints, recordings and evidence, at most so many, and the remedy once a code."""
+    lines = []
+    for code, same in by_code(findings).items():
+        joints = list(dict.fromkeys(f.joint for f in same if f.joint))
+        recordings = list(dict.fromkeys(f.recording for f in same if f.recording))
+        named = [f"joint{'s' * (len(joints) > 1)} {', '.join(joints)}"] if joints else []
+        named += [f"recording{'s' * (len(recordings) > 1)} {short_list(recordings, most)}"] if recordings else []
+        about = f" ({'; '.join(named)})" if named else ""
+        lines.append(f"  {code}{about}: {codes()[code]}")
+        lines += [f"      {f'{finding.joint}: ' if finding.joint else ''}{finding.evidence}" for finding in same[:most]]
+        lines += [f"      and {len(same) - most} more"] if len(same) > most else []
+        lines += [f"      -> {advice}" for advice in dict.fromkeys(f.advice for f in same)]
+    return lines
 
 
 # --- Checks that packages add.
@@ -94,15 +112,11 @@ Facts = dict[str, float | str]
 class Plot:
     """One joint's plot in the picture of the checks."""
 
-    line: tuple[np.ndarray, np.ndarray]
-    """Measured curve, x and y; the predicted one, if there are points."""
+    line: tuple[np.ndarray, np.ndarray]  # measured curve, x and y; the predicted one, if there are points
     y_range: tuple[float, float]
-    points: tuple[np.ndarray, np.ndarray] | None = None
-    """Measured points, x and y."""
-    shaded: float | None = None
-    """x up to which the plot is shaded, from 0."""
-    mark: float | None = None
-    """x of an upright line."""
+    points: tuple[np.ndarray, np.ndarray] | None = None  # measured points, x and y
+    shaded: float | None = None  # x up to which the plot is shaded, from 0
+    mark: float | None = None  # x of an upright line
 
 
 @dataclass(frozen=True)
@@ -112,8 +126,7 @@ class Plots:
     title: str
     x_label: str
     of_joints: Sequence[Plot | None]
-    notable: bool
-    """Whether the picture is drawn for these."""
+    notable: bool  # whether the picture is drawn for these
 
 
 @dataclass(frozen=True)
@@ -123,24 +136,20 @@ class Found:
     findings: Sequence[Finding] = ()
     recordings: Sequence[Recording] | None = None
     """The recordings, corrected for the checks that follow; None: unchanged."""
-    facts: Sequence[Facts] = ()
-    """Measured quantities of each joint; empty: none."""
-    unsigned: bool = False
-    """Whether a joint's tau has no known sign. Then the torque is not compared with anything."""
+    facts: Sequence[Facts] = ()  # measured quantities of each joint; empty: none
+    unsigned: bool = False  # whether a joint's tau has no known sign. Then the torque is not compared with anything
     drive: bool = False
     """Whether a joint's tau is a drive signal, which reverses before the joint leaves stiction and shows no delay."""
     no_torque: frozenset[str] = frozenset()
     """Joints whose tau is not in N m. Then it is not compared with the model's size."""
-    plots: Callable[[], Plots] | None = None
-    """Called if a picture is drawn."""
+    plots: Callable[[], Plots] | None = None  # called if a picture is drawn
 
 
 @dataclass(frozen=True)
 class Check:
     """A check of recordings of one arm. Packages add theirs as entry points of the group tauext.checks."""
 
-    codes: Mapping[str, str]
-    """Codes of its findings and their meaning, as in CODES."""
+    codes: Mapping[str, str]  # codes of its findings and their meaning, as in CODES
     find: Callable[[Sequence[Recording]], Found]
     """A function that checks recordings of the same joints, at least one. Findings are cached until a file beside the
     function's changes."""
@@ -151,11 +160,7 @@ class Check:
 
 @cache
 def added() -> dict[str, Check]:
-    """The checks of packages by name.
-
-    Raises:
-        ConfigError: one cannot be loaded.
-    """
+    """The checks of packages by name; ConfigError: one cannot be loaded."""
     return plugins.every(plugins.CHECKS, Check)
 
 

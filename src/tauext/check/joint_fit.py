@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from tauext import _core
-from tauext.check.motion import FIT_CUTOFF_HZ, FIT_ROWS_HZ, Stretch, low_pass
+from tauext.check.motion import FIT, RowFilter, Stretch
 
 # --- Rows of a linear regression: a joint's torque and its possible parts, all through one zero-phase filter.
 
 
 COULOMB_SPEEDS_RAD_S = (0.02, 0.2)
-"""Smoothings of sign(speed), [rad/s]: a narrow one for sharp reversals, a wide one for friction that grows at low
-speed."""
+"""Smoothings of sign(speed): a narrow one for sharp reversals, a wide one for friction that grows at low speed."""
 PRESLIDING_RAD = (5e-4, 5e-3)
-"""Travel over which friction reverses, [rad]. Presliding states keep their value at rest, where sign(speed) is 0.
-Without them the fit would assign friction at rest to gravity."""
-END_S = 0.2
+"""Travel over which friction reverses. Presliding states keep their value at rest, where sign(speed) is 0. Without them
+the fit would assign friction at rest to gravity."""
 FRICTION = 2 + len(COULOMB_SPEEDS_RAD_S) + len(PRESLIDING_RAD)  # constant, viscous, Coulomb, presliding
+CONSTANT = 3  # column of the constant: gravity, inertial torque and acceleration come before it
+RESISTS = slice(CONSTANT + 1, CONSTANT + FRICTION)  # columns of friction without the constant
 
 
 @dataclass(frozen=True)
 class FitRows:
-    """Regressors and torque at FIT_ROWS_HZ; arrays (rows, joints) [N m] unless stated."""
+    """Regressors and torque; arrays (rows, joints) [N m] unless stated."""
 
     time_s: np.ndarray  # (rows,)
     recording: np.ndarray  # (rows,)
@@ -49,9 +49,24 @@ class FitRows:
     def model(self) -> np.ndarray:
         return self.gravity + self.inertial
 
+    def columns(self, joint: int) -> np.ndarray:
+        """Regressors (rows, 3 + FRICTION). Without a model, sines and cosines of the joints stand in for gravity."""
+        own = (self.gravity[:, joint], self.inertial[:, joint], self.acceleration[:, joint])
+        columns = np.column_stack([*own, self.friction[:, joint]])
+        return columns if self.has_model else np.column_stack([columns, np.sin(self.q), np.cos(self.q)])
+
+    def with_model(self, stretches: Sequence[Stretch], tree: _core.Tree) -> FitRows:
+        """The rows with the model's torques of this motion."""
+        gravity, inertial = model_of(stretches, tree)
+        return replace(self, gravity=gravity, inertial=inertial)
+
     def taken(self, at: np.ndarray | slice) -> FitRows:
         """Select rows."""
         return FitRows(*(getattr(self, field.name)[at] for field in fields(self)))
+
+    def thinned(self, most: int) -> FitRows:
+        """About so many rows, evenly."""
+        return self.taken(slice(None, None, max(1, len(self.time_s) // most)))
 
     @staticmethod
     def joined(parts: Sequence[FitRows]) -> FitRows:
@@ -59,14 +74,7 @@ class FitRows:
         return FitRows(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(FitRows)))
 
 
-def rows_of(
-    stretches: Sequence[Stretch],
-    tree: _core.Tree | None,
-    lag_s: float = 0.0,
-    cutoff_hz: float = FIT_CUTOFF_HZ,
-    rows_hz: float = FIT_ROWS_HZ,
-    end_s: float = END_S,
-) -> FitRows:
+def rows_of(stretches: Sequence[Stretch], tree: _core.Tree | None, lag_s: float = 0.0, how: RowFilter = FIT) -> FitRows:
     r"""LP(tau) beside LP(dp/dt + beta) and friction of the same motion.
 
     With p = M dq and beta = g - C^T dq of the sweep, dp/dt + beta is the model's torque: no acceleration is needed, and
@@ -75,65 +83,48 @@ def rows_of(
     Args:
         tree: the model; None: its torques are 0.
         lag_s: time by which the torque is read later than its stamp, [s]; positive where torque lags motion.
-        cutoff_hz: of the low-pass.
-        rows_hz: rows a second.
-        end_s: left out at both ends of a stretch.
     """
-    parts = [_measured(stretch, lag_s, cutoff_hz, rows_hz, end_s) for stretch in stretches]
+    parts = [_measured(stretch, lag_s, how) for stretch in stretches]
     time_s, recording, q, dq, tau, acceleration, friction = (np.concatenate(x) for x in zip(*parts, strict=True))
     gravity = inertial = np.zeros_like(q)
     if tree is not None:
-        gravity, inertial = model_of(stretches, tree, cutoff_hz, rows_hz, end_s)
+        gravity, inertial = model_of(stretches, tree, how)
     return FitRows(time_s, recording, q, dq, tau, gravity, inertial, acceleration, friction)
 
 
-def model_of(
-    stretches: Sequence[Stretch],
-    tree: _core.Tree,
-    cutoff_hz: float = FIT_CUTOFF_HZ,
-    rows_hz: float = FIT_ROWS_HZ,
-    end_s: float = END_S,
-) -> tuple[np.ndarray, np.ndarray]:
+def model_of(stretches: Sequence[Stretch], tree: _core.Tree, how: RowFilter = FIT) -> tuple[np.ndarray, np.ndarray]:
     """gravity and inertial of `rows_of` alone."""
     parts = []
     for s in stretches:
         momentum, beta = tree.momentum(s.q, s.dq)
-        gravity = tree.momentum(s.q, np.zeros_like(s.q))[1]
+        gravity = gravity_of(tree, s.q)
         inertial = np.gradient(momentum, 1 / s.rate_hz, axis=0) + beta - gravity
-        parts.append(_filtered([gravity, inertial], s.rate_hz, cutoff_hz, rows_hz, end_s))
+        parts.append([how.rows(x, s.rate_hz) for x in (gravity, inertial)])
     gravity, inertial = (np.concatenate(x) for x in zip(*parts, strict=True))
     return gravity, inertial
 
 
-def with_model(rows: FitRows, stretches: Sequence[Stretch], tree: _core.Tree) -> FitRows:
-    """The rows with the model's torques of this motion."""
-    gravity, inertial = model_of(stretches, tree)
-    return replace(rows, gravity=gravity, inertial=inertial)
+def gravity_of(tree: _core.Tree, q: np.ndarray) -> np.ndarray:
+    """Torque of the model's gravity at these positions (rows, joints)."""
+    return tree.momentum(q, np.zeros_like(q))[1]
 
 
-def _measured(stretch: Stretch, lag_s: float, cutoff_hz: float, rows_hz: float, end_s: float) -> tuple[np.ndarray, ...]:
+def _measured(stretch: Stretch, lag_s: float, how: RowFilter) -> tuple[np.ndarray, ...]:
     """Regressors of a stretch that need no model: time, recording, q, dq, tau, acceleration, friction."""
     q, dq, rate = stretch.q, stretch.dq, stretch.rate_hz
     friction = [np.ones_like(dq), dq] + [np.tanh(dq / speed) for speed in COULOMB_SPEEDS_RAD_S]
     friction += list(np.moveaxis(presliding(q, PRESLIDING_RAD, rate), 2, 0))
-    time = picked(stretch.start_s + np.arange(len(q)) / rate, rate, rows_hz, end_s)
+    time = how.picked(stretch.start_s + np.arange(len(q)) / rate, rate)
     signals = [q, dq, delayed(stretch.tau, lag_s, rate), np.gradient(dq, 1 / rate, axis=0), *friction]
-    parts = _filtered(signals, rate, cutoff_hz, rows_hz, end_s)
+    parts = [how.rows(x, rate) for x in signals]
     return (time, np.full(len(time), stretch.recording), *parts[:4], np.stack(parts[4:], axis=2))
-
-
-def _filtered(
-    signals: Sequence[np.ndarray], rate_hz: float, cutoff_hz: float, rows_hz: float, end_s: float
-) -> list[np.ndarray]:
-    """Filter signals (samples, joints) and pick rows."""
-    return [picked(low_pass(x, min(cutoff_hz, rate_hz / 6), rate_hz), rate_hz, rows_hz, end_s) for x in signals]
 
 
 def presliding(q: np.ndarray, widths_rad: Sequence[float], rate_hz: float) -> np.ndarray:
     """The core's stop operators on positions (samples, joints): (samples, joints, widths), in -1 to 1.
 
-    Stepped at PRESLIDING_RATE_HZ, since encoder noise at 1 kHz would distort them, and interpolated linearly. A state
-    is 0 until the joint has moved far enough to determine it.
+    Stepped at 100 Hz, since encoder noise at 1 kHz would distort them, and interpolated linearly. A state is 0 until
+    the joint has moved far enough to determine it.
     """
     every = max(1, int(rate_hz / 100.0))
     states = _core.presliding_states(np.ascontiguousarray(q[::every]), widths_rad)
@@ -147,11 +138,7 @@ def presliding(q: np.ndarray, widths_rad: Sequence[float], rate_hz: float) -> np
 
 def torque_rows(stretches: Sequence[Stretch], lag_s: float) -> np.ndarray:
     """The delayed torque of `rows_of` alone: (rows, joints), [N m]."""
-    parts = []
-    for s in stretches:
-        tau = low_pass(delayed(s.tau, lag_s, s.rate_hz), min(FIT_CUTOFF_HZ, s.rate_hz / 6), s.rate_hz)
-        parts.append(picked(tau, s.rate_hz))
-    return np.concatenate(parts)
+    return np.concatenate([FIT.rows(delayed(s.tau, lag_s, s.rate_hz), s.rate_hz) for s in stretches])
 
 
 def delayed(x: np.ndarray, lag_s: float, rate_hz: float) -> np.ndarray:
@@ -162,28 +149,13 @@ def delayed(x: np.ndarray, lag_s: float, rate_hz: float) -> np.ndarray:
     return np.stack([np.interp(at + lag_s, at, column) for column in x.T], axis=1)
 
 
-def picked(x: np.ndarray, rate_hz: float, rows_hz: float = FIT_ROWS_HZ, end_s: float = END_S) -> np.ndarray:
-    """A copy of the rows at `rows_hz`. The ends are left out: there a forward-backward filter has data on one side
-    only."""
-    end = int(end_s * rate_hz)
-    return x[end : len(x) - end : max(1, round(rate_hz / rows_hz))].copy(order="K")
-
-
 # --- Robust least squares of one joint's torque on its parts, with jackknife errors.
 
 
-BLOCKS = 10
-"""Number of blocks of time, left out in turn, since errors of neighbouring rows are correlated."""
-SEEN = 0.02
-"""A model torque is ignored if its spread is a smaller share of the measured torque's spread."""
-HUBER = 2.0
-"""Rows with an error above twice the robust spread get less weight, so that a bump does not change a sign."""
-LEAST_ROWS = 100
-"""Four seconds: fewer rows than that cannot be fitted."""
-CONSTANT = 3
-"""Column of the constant."""
-SIGN = 2
-"""Friction column with the sharp sign of the speed."""
+BLOCKS = 10  # number of blocks of time, left out in turn, since errors of neighbouring rows are correlated
+HUBER = 2.0  # rows with an error above twice the robust spread get less weight, so that a bump does not change a sign
+SEEN = 0.02  # A model torque is ignored if its spread is a smaller share of the measured torque's spread
+LEAST_ROWS = 100  # four seconds: fewer rows than that cannot be fitted
 
 
 @dataclass(frozen=True)
@@ -220,13 +192,6 @@ def spread_of(values: np.ndarray) -> float:
     return float(np.sqrt((BLOCKS - 1) / BLOCKS * ((values - values.mean()) ** 2).sum()))
 
 
-def columns_of(rows: FitRows, joint: int) -> np.ndarray:
-    """Regressors (rows, 3 + FRICTION). Without a model, sines and cosines of the joints stand in for gravity."""
-    own = (rows.gravity[:, joint], rows.inertial[:, joint], rows.acceleration[:, joint])
-    columns = np.column_stack([*own, rows.friction[:, joint]])
-    return columns if rows.has_model else np.column_stack([columns, np.sin(rows.q), np.cos(rows.q)])
-
-
 def solve(columns: np.ndarray, torque: np.ndarray, trust: np.ndarray) -> np.ndarray:
     """Weighted least squares with centred, scaled columns; a column that hardly varies gets the weight 0."""
     share = trust / trust.sum()
@@ -242,6 +207,11 @@ def solve(columns: np.ndarray, torque: np.ndarray, trust: np.ndarray) -> np.ndar
     weights[seen] = np.linalg.lstsq(scaled, root * (torque - level), rcond=3e-3)[0] / scale[seen]
     weights[CONSTANT] = level - middle @ weights
     return weights
+
+
+def rms(columns: np.ndarray) -> np.ndarray:
+    """Size of each column, never 0."""
+    return np.maximum(np.sqrt((columns**2).mean(axis=0)), 1e-9)
 
 
 def basis_of(columns: np.ndarray) -> np.ndarray:
@@ -261,27 +231,67 @@ def robust_solve(columns: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, n
     trust = np.ones(len(torque))
     for _ in range(3):
         weights = solve(columns, torque, trust)
-        error = np.abs(torque - columns @ weights)
-        trust = np.minimum(1.0, HUBER * robust_spread(torque - columns @ weights) / np.maximum(error, 1e-12))
+        error = torque - columns @ weights
+        trust = np.minimum(1.0, HUBER * robust_spread(error) / np.maximum(np.abs(error), 1e-12))
         trust = np.maximum(trust, 1e-6)
     return weights, trust
 
 
+def robust_error(columns: np.ndarray, torque: np.ndarray) -> float:
+    """Robust spread of what a robust fit leaves."""
+    return robust_spread(torque - columns @ robust_solve(columns, torque)[0])
+
+
 def fit_joint(rows: FitRows, joint: int) -> JointFit:
     """Robust fit of one joint; at least LEAST_ROWS rows."""
-    columns, torque = columns_of(rows, joint), rows.tau[:, joint]
+    columns, torque = rows.columns(joint), rows.tau[:, joint]
     weights, trust = robust_solve(columns, torque)
     blocks = np.array_split(np.arange(len(torque)), BLOCKS)
     left_out = np.stack([solve(*(np.delete(x, b, axis=0) for x in (columns, torque, trust))) for b in blocks])
-    friction = slice(CONSTANT, CONSTANT + FRICTION)
-    shape = [0, *range(CONSTANT + FRICTION, columns.shape[1])]
-    return JointFit(
-        weights,
-        left_out,
-        columns @ weights,
-        float(torque.std()),
-        robust_spread(torque - columns @ weights),
-        float((columns[:, shape] @ weights[shape]).std()),
-        float((columns[:, 1:3] @ weights[1:3]).std()),
-        float((columns[:, friction] @ weights[friction]).std()),
-    )
+    of_gravity = [0, *range(CONSTANT + FRICTION, columns.shape[1])]
+    parts = (of_gravity, slice(1, 3), slice(CONSTANT, CONSTANT + FRICTION))
+    gravity_nm, inertial_nm, friction_nm = (float((columns[:, part] @ weights[part]).std()) for part in parts)
+    predicted = columns @ weights
+    error_nm = robust_spread(torque - predicted)
+    return JointFit(weights, left_out, predicted, float(torque.std()), error_nm, gravity_nm, inertial_nm, friction_nm)
+
+
+# --- Numbers common to all joints: the direction of gravity, a load.
+
+
+def shared_numbers(
+    columns: Sequence[np.ndarray],
+    torques: Sequence[np.ndarray],
+    floor_nm: np.ndarray,
+    rcond: float = 1e-9,
+    spread: Callable[[np.ndarray], float | np.ndarray] = robust_spread,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Least squares of all joints together, each weighted by its robust error: the numbers, the errors that they leave
+    and the weights. `floor_nm`: errors for the first weights; a thousandth is the least of all."""
+    floor_nm = np.maximum(floor_nm, 1e-9)
+    weights = 1 / floor_nm
+    for _ in range(3):
+        numbers = weighted_solve(columns, torques, weights, rcond)
+        errors = np.array([spread(y - x @ numbers) for x, y in zip(columns, torques, strict=True)])
+        weights = 1 / np.maximum(errors, 1e-3 * floor_nm)
+    return numbers, errors, weights
+
+
+def weighted_solve(
+    columns: Sequence[np.ndarray], torques: Sequence[np.ndarray], weights: np.ndarray, rcond: float = 1e-9
+) -> np.ndarray:
+    gram = sum(w**2 * x.T @ x for x, w in zip(columns, weights, strict=True))
+    moment = sum(w**2 * x.T @ y for x, y, w in zip(columns, torques, weights, strict=True))
+    return np.linalg.lstsq(gram, moment, rcond=rcond)[0]
+
+
+def without_own(rows: FitRows, shared: np.ndarray, torque: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Columns and torque of each joint without what its own inertia and friction explain."""
+    columns: list[np.ndarray] = []
+    torques: list[np.ndarray] = []
+    for j in range(rows.joints):
+        own = rows.columns(j)[:, 2:]
+        basis = basis_of(own / rms(own))
+        for parts, x in ((columns, shared[:, j]), (torques, torque[:, j])):
+            parts.append(x - basis @ (basis.T @ x))
+    return columns, torques

@@ -1,39 +1,36 @@
-"""Find recordings whose positions or velocities have other units or joints than their dataset."""
+"""Find recordings whose positions, velocities or torques have other units or joints than their dataset."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
-from tauext.check.finding import Finding
-from tauext.check.motion import (
-    DEGREES,
-    FACTOR_OFF,
-    FIT_CUTOFF_HZ,
-    LEAST_CORRELATION,
-    LEAST_SPEED_RAD_S,
-    Stretch,
-    low_pass,
-)
+from tauext.check.examination import Examination
+from tauext.check.finding import Finding, Severity
+from tauext.check.motion import DEGREES, FIT, LEAST_CORRELATION, LEAST_SPEED_RAD_S, Stretch
 from tauext.data.recording import Recording
 
-FASTER, FURTHER = 5.0, 3.0
-"""Ratios of speed and range that mean degrees. Degrees give 57; recordings of one arm hardly differ by these ratios."""
-MARGIN_RAD = 0.5
-"""Margin around the range of the other recordings."""
-TORQUES = 20.0
-"""Ratio to the other recordings' torque, of joints that move in all, beyond any load or pose."""
-LATE_S = 0.015
-"""Delay of the velocity against the others', all joints together, beyond any drive's filter."""
-UNIT_OFF, UNLIKE = 0.3, 0.5
-"""Differences of a velocity's factor and correlation; signals that rest at times differ by less."""
-ALIKE, UNLIKE_BESIDE = 0.95, 0.75
-"""If all others correlate above the first, a correlation below the second means another joint."""
-RATE_OFF = 0.1
-"""Tolerance of the rate: twice the monitor's, since logs lose a few percent of their rows."""
-ADVICE = "give it the others' units at import, or leave it out"
+
+@dataclass(frozen=True)
+class OddRules:
+    """By how much a recording differs from all others."""
+
+    rate: float = 0.1  # twice the monitor's tolerance, since logs lose a few percent of their rows
+    faster: float = 5.0  # degrees give 57 times the speed and range; recordings of one arm hardly differ by ...
+    further: float = 3.0  # ... these
+    margin_rad: float = 0.5  # around the range of the other recordings
+    torques: float = 20.0  # times the others' torque, of joints that move in all, beyond any load or pose
+    late_s: float = 0.015  # delay of the velocity, all joints together, beyond any drive's filter
+    factor: float = 0.3  # of a velocity; those of signals that rest at times differ by less
+    unlike: float = 0.5  # correlation of a velocity that is another joint's ...
+    unlike_beside: float = 0.75  # ... and where all others correlate above ...
+    alike: float = 0.95  # ... this
+
+
+RULES = OddRules()
 
 
 @dataclass(frozen=True)
@@ -48,19 +45,21 @@ class Motion:
     lag_s: np.ndarray  # of the velocity, where it is small
     torque_nm: np.ndarray  # 95th percentile of its size
 
+    @property
+    def moves(self) -> np.ndarray:
+        return np.isfinite(self.factor)
+
 
 def motion_of(recording: Recording, stretches: Sequence[Stretch]) -> Motion:
     """`stretches`: of this recording, at least one."""
-    n = len(recording.joints)
     low, high = np.percentile(recording.q, [0.1, 99.9], axis=0)
     dq = np.concatenate([s.dq for s in stretches])
-    products = np.zeros((5, n))
+    products = np.zeros((5, len(recording.joints)))
     for s in stretches:
-        cutoff = min(FIT_CUTOFF_HZ, s.rate_hz / 6)
-        true, recorded = low_pass(s.dq, cutoff, s.rate_hz), low_pass(s.dq_raw, cutoff, s.rate_hz)
-        products += [(true * true).sum(axis=0), (true * recorded).sum(axis=0), (recorded * recorded).sum(axis=0),
-                     ((true - recorded) * (slope := np.gradient(true, 1 / s.rate_hz, axis=0))).sum(axis=0),
-                     (slope * slope).sum(axis=0)]  # fmt: skip
+        true, recorded = FIT.filtered(s.dq, s.rate_hz), FIT.filtered(s.dq_raw, s.rate_hz)
+        slope = np.gradient(true, 1 / s.rate_hz, axis=0)
+        pairs = ((true, true), (true, recorded), (recorded, recorded), (true - recorded, slope), (slope, slope))
+        products += [(a * b).sum(axis=0) for a, b in pairs]
     moves = products[0] > LEAST_SPEED_RAD_S**2 * len(dq)
     with np.errstate(divide="ignore", invalid="ignore"):
         factor = np.where(moves, products[1] / products[0], np.nan)
@@ -70,131 +69,132 @@ def motion_of(recording: Recording, stretches: Sequence[Stretch]) -> Motion:
     return Motion(low, high, speed, factor, np.nan_to_num(correlation, nan=0.0), lag_s, torque_nm)
 
 
-def odd_rates(recordings: Sequence[Recording]) -> list[Finding]:
+def odd_rates(x: Examination) -> list[Finding]:
     """Findings of recordings whose rate differs from the most common one: a bundle has one rate."""
-    seconds = [(r.rate_hz, r.duration_s) for r in recordings]
-    usual = max(seconds, key=lambda one: sum(s for rate, s in seconds if abs(rate / one[0] - 1) < RATE_OFF))[0]
+    seconds = [(r.rate_hz, r.duration_s) for r in x.recordings]
+    usual = max(seconds, key=lambda one: sum(s for rate, s in seconds if abs(rate / one[0] - 1) < RULES.rate))[0]
     advice = "bring it to the others' rate at import, or leave it out"
     return [
-        Finding(
-            "odd-recording",
-            "fault",
-            None,
-            f"'{r.name}' has {r.rate_hz:.4g} samples a second, the other recordings {usual:.4g}",
-            advice,
-            r.name,
-        )
-        for r in recordings
-        if abs(r.rate_hz / usual - 1) > RATE_OFF
+        _odd(r, None, f" has {r.rate_hz:.4g} samples a second, the other recordings {usual:.4g}", advice)
+        for r in x.recordings
+        if abs(r.rate_hz / usual - 1) > RULES.rate
     ]
 
 
-def odd_motions(recordings: Sequence[Recording], motion: Sequence[Stretch]) -> list[Finding]:
-    """Findings of recordings in degrees among radians, and of velocities that do not fit where the others' do."""
-    by = [[s for s in motion if s.recording == k] for k in range(len(recordings))]
-    seen = {k: motion_of(r, by[k]) for k, r in enumerate(recordings) if by[k]}
-    found: list[Finding] = []
+def odd_motions(x: Examination) -> list[Finding]:
+    """Findings of recordings in degrees among radians, and of velocities that do not fit where the others' do. At most
+    one a recording, and of half of the recordings."""
+    by = [[s for s in x.motion if s.recording == k] for k in range(len(x.recordings))]
+    seen = {k: motion_of(r, by[k]) for k, r in enumerate(x.recordings) if by[k]}
+    found = []
     for k, one in seen.items():
         others = [m for other, m in seen.items() if other != k]
-        if others:
-            found += (
-                _degrees(recordings[k], one, others)
-                or _velocity(recordings[k], one, others)
-                or _torque_unit(recordings[k], one, others)
-                or _turns(recordings[k], one, others)
-                or _late(recordings[k], one, others)
-            )
-    return found if len({f.recording for f in found}) <= len(seen) / 2 else []
+        ways = (find(x.recordings[k], one, others) for find in WAYS) if others else ()
+        found += [odd for odd in [next(chain.from_iterable(ways), None)] if odd is not None]
+    return found if len(found) <= len(seen) / 2 else []
 
 
-def _degrees(recording: Recording, one: Motion, others: Sequence[Motion]) -> list[Finding]:
-    low, high = np.min([m.low for m in others], axis=0), np.max([m.high for m in others], axis=0)
-    speed = np.max([m.speed for m in others], axis=0)
+def _odd(
+    r: Recording,
+    joint: str | None,
+    evidence: str,
+    advice: str = "give it the others' units at import, or leave it out",
+    severity: Severity = "fault",
+) -> Finding:
+    return Finding("odd-recording", severity, joint, f"'{r.name}'{evidence}", advice, r.name)
+
+
+def _range(others: Sequence[Motion], low: str = "low", high: str = "high") -> tuple[np.ndarray, np.ndarray]:
+    return np.min([getattr(m, low) for m in others], axis=0), np.max([getattr(m, high) for m in others], axis=0)
+
+
+def _degrees(r: Recording, one: Motion, others: Sequence[Motion]) -> Iterator[Finding]:
+    (low, high), speed = _range(others), np.max([m.speed for m in others], axis=0)
     far = np.maximum(np.abs(one.low), np.abs(one.high))
     usual = np.maximum(np.abs(low), np.abs(high))
-    within = (one.low / DEGREES > low - MARGIN_RAD) & (one.high / DEGREES < high + MARGIN_RAD)
-    wrong = (far > np.maximum(FURTHER * usual, 2 * np.pi)) & (one.speed > FASTER * speed) & within & (speed > 0)
-    if not wrong.any():
-        return []
-    j = int(np.argmax(np.where(wrong, one.speed / np.maximum(speed, 1e-9), 0)))
-    evidence = (
-        f"'{recording.name}' seems to be in degrees: '{recording.joints[j]}' goes from {one.low[j]:.4g} to "
-        f"{one.high[j]:.4g} at up to {one.speed[j]:.3g} a second, in the other recordings from {low[j]:.3g} to "
-        f"{high[j]:.3g} at up to {speed[j]:.3g}"
-    )
-    joint = recording.joints[j] if wrong.sum() == 1 and len(wrong) > 1 else None
-    return [Finding("odd-recording", "fault", joint, evidence, ADVICE, recording.name)]
+    within = (one.low / DEGREES > low - RULES.margin_rad) & (one.high / DEGREES < high + RULES.margin_rad)
+    fast = (one.speed > RULES.faster * speed) & (speed > 0)
+    wrong = (far > np.maximum(RULES.further * usual, 2 * np.pi)) & fast & within
+    if wrong.any():
+        j = int(np.argmax(np.where(wrong, one.speed / np.maximum(speed, 1e-9), 0)))
+        evidence = (
+            f" seems to be in degrees: '{r.joints[j]}' goes from {one.low[j]:.4g} to {one.high[j]:.4g} at up to "
+            f"{one.speed[j]:.3g} a second, in the other recordings from {low[j]:.3g} to {high[j]:.3g} at up to "
+            f"{speed[j]:.3g}"
+        )
+        yield _odd(r, r.joints[j] if wrong.sum() == 1 < len(wrong) else None, evidence)
 
 
-def _fault(recording: Recording, wrong: np.ndarray, evidence: Callable[[int, str], str]) -> list[Finding]:
-    """One finding, or none if no joint is wrong. `evidence` receives the first wrong joint and the names of all."""
-    joints = [joint for joint, is_wrong in zip(recording.joints, wrong, strict=True) if is_wrong]
-    if not joints:
-        return []
-    words = f"'{recording.name}': {evidence(int(np.argmax(wrong)), ', '.join(joints))}"
-    joint = joints[0] if len(joints) == 1 else None
-    return [Finding("odd-recording", "fault", joint, words, ADVICE, recording.name)]
-
-
-def _velocity(recording: Recording, one: Motion, others: Sequence[Motion]) -> list[Finding]:
-    moves = np.array([np.isfinite(m.factor) for m in others])
-    agree = np.array([(np.abs(m.factor - 1) < FACTOR_OFF) & (m.correlation > LEAST_CORRELATION) for m in others])
+def _velocity(r: Recording, one: Motion, others: Sequence[Motion]) -> Iterator[Finding]:
+    moves = np.array([m.moves for m in others])
+    agree = np.array([(np.abs(m.factor - 1) < 0.1) & (m.correlation > LEAST_CORRELATION) for m in others])
     usual = agree.any(axis=0) & (agree | ~moves).all(axis=0)
-    unit = (one.correlation > LEAST_CORRELATION) & (np.abs(one.factor - 1) > UNIT_OFF)
-    sure = np.array([(m.correlation > ALIKE) | ~np.isfinite(m.factor) for m in others]).all(axis=0)
-    unlike = one.correlation < np.where(sure, UNLIKE_BESIDE, UNLIKE)
-    return _fault(
-        recording,
-        usual & np.isfinite(one.factor) & (unit | unlike),
-        lambda j, names: (
-            f"the velocity is {one.factor[j]:.4g} times the derivative of the position, correlation "
+    unit = (one.correlation > LEAST_CORRELATION) & (np.abs(one.factor - 1) > RULES.factor)
+    sure = np.array([(m.correlation > RULES.alike) | ~m.moves for m in others]).all(axis=0)
+    unlike = one.correlation < np.where(sure, RULES.unlike_beside, RULES.unlike)
+    for j, names, joint in _first(r, usual & one.moves & (unit | unlike)):
+        evidence = (
+            f": the velocity is {one.factor[j]:.4g} times the derivative of the position, correlation "
             f"{one.correlation[j]:.3f}, at {names}; elsewhere it is the derivative"
-        ),
-    )
+        )
+        yield _odd(r, joint, evidence)
 
 
-def _torque_unit(recording: Recording, one: Motion, others: Sequence[Motion]) -> list[Finding]:
-    low, high = np.min([m.torque_nm for m in others], axis=0), np.max([m.torque_nm for m in others], axis=0)
-    moves = np.isfinite([m.factor for m in (one, *others)]).all(axis=0)
-    return _fault(
-        recording,
-        moves & (low > 0) & ((one.torque_nm > TORQUES * high) | (one.torque_nm < low / TORQUES)),
-        lambda j, names: (
-            f"torques of {names} are of another unit, as it seems: '{recording.joints[j]}' takes "
-            f"{one.torque_nm[j]:.3g}, elsewhere {low[j]:.3g} to {high[j]:.3g}"
-        ),
-    )
+def _torque_unit(r: Recording, one: Motion, others: Sequence[Motion]) -> Iterator[Finding]:
+    low, high = _range(others, "torque_nm", "torque_nm")
+    moves = np.all([m.moves for m in (one, *others)], axis=0)
+    wrong = moves & (low > 0) & ((one.torque_nm > RULES.torques * high) | (one.torque_nm < low / RULES.torques))
+    for j, names, joint in _first(r, wrong):
+        evidence = (
+            f": torques of {names} are of another unit, as it seems: '{r.joints[j]}' takes {one.torque_nm[j]:.3g}, "
+            f"elsewhere {low[j]:.3g} to {high[j]:.3g}"
+        )
+        yield _odd(r, joint, evidence)
 
 
-def _turns(recording: Recording, one: Motion, others: Sequence[Motion]) -> list[Finding]:
-    """Findings of joints whose positions are whole turns off the others'."""
-    low, high = np.min([m.low for m in others], axis=0), np.max([m.high for m in others], axis=0)
+def _first(r: Recording, wrong: np.ndarray) -> list[tuple[int, str, str | None]]:
+    """The first joint that is wrong, names of all, and the joint if it is the only one."""
+    joints = [joint for joint, is_wrong in zip(r.joints, wrong, strict=True) if is_wrong]
+    return [(int(np.argmax(wrong)), ", ".join(joints), joints[0] if len(joints) == 1 else None)] if joints else []
+
+
+def _turns(r: Recording, one: Motion, others: Sequence[Motion]) -> Iterator[Finding]:
+    """A joint whose positions are whole turns off the others'."""
+    low, high = _range(others)
     turns = np.round(((one.low + one.high) - (low + high)) / (4 * np.pi))
     by = 2 * np.pi * turns
-    within = (one.low - by > low - MARGIN_RAD) & (one.high - by < high + MARGIN_RAD)
-    wrong = np.flatnonzero((turns != 0) & within & ((one.low > high) | (one.high < low)) & (high - low < 2 * np.pi))
-    if not len(wrong):
-        return []
-    j = int(wrong[0])
-    evidence = (
-        f"'{recording.name}': '{recording.joints[j]}' is {turns[j]:+.0f} turns from where it is in the others: "
-        f"{one.low[j]:.4g} to {one.high[j]:.4g} rad, {low[j]:.4g} to {high[j]:.4g}"
-    )
-    advice = "a counter of turns that began elsewhere: take the turns away at import"
-    return [Finding("odd-recording", "warning", recording.joints[j], evidence, advice, recording.name)]
+    within = (one.low - by > low - RULES.margin_rad) & (one.high - by < high + RULES.margin_rad)
+    apart = (one.low > high) | (one.high < low)
+    for j in np.flatnonzero((turns != 0) & within & apart & (high - low < 2 * np.pi)).tolist():
+        evidence = (
+            f": '{r.joints[j]}' is {turns[j]:+.0f} turns from where it is in the others: "
+            f"{one.low[j]:.4g} to {one.high[j]:.4g} rad, {low[j]:.4g} to {high[j]:.4g}"
+        )
+        advice = "a counter of turns that began elsewhere: take the turns away at import"
+        yield _odd(r, r.joints[j], evidence, advice, "warning")
 
 
-def _late(recording: Recording, one: Motion, others: Sequence[Motion]) -> list[Finding]:
+def _late(r: Recording, one: Motion, others: Sequence[Motion]) -> Iterator[Finding]:
     usual = np.median([m.lag_s for m in others], axis=0)
-    moves = np.isfinite(one.factor) & (one.correlation > UNLIKE)
-    if not moves.any() or np.abs(usual[moves]).max() > LATE_S:
-        return []
+    moves = one.moves & (one.correlation > RULES.unlike)
+    if not moves.any() or np.abs(usual[moves]).max() > RULES.late_s:
+        return
     off = one.lag_s[moves] - usual[moves]
-    if abs(float(np.median(off))) < LATE_S or np.ptp(np.sign(off)) != 0:
-        return []
-    evidence = (
-        f"'{recording.name}': the velocity comes {1e3 * abs(np.median(off)):.0f} ms "
-        f"{'later' if np.median(off) > 0 else 'earlier'} after the position than in the others"
-    )
-    advice = "derive the velocity from the position at import, or leave it out"
-    return [Finding("odd-recording", "warning", None, evidence, advice, recording.name)]
+    later_s = float(np.median(off))
+    if abs(later_s) >= RULES.late_s and np.ptp(np.sign(off)) == 0:
+        evidence = (
+            f": the velocity comes {1e3 * abs(later_s):.0f} ms {'later' if later_s > 0 else 'earlier'} after the "
+            "position than in the others"
+        )
+        advice = "derive the velocity from the position at import, or leave it out"
+        yield _odd(r, None, evidence, advice, "warning")
+
+
+WAYS: tuple[Callable[[Recording, Motion, Sequence[Motion]], Iterator[Finding]], ...] = (
+    _degrees,
+    _velocity,
+    _torque_unit,
+    _turns,
+    _late,
+)
+"""In which a recording may differ; the first one found counts."""

@@ -1,24 +1,29 @@
-"""Torque that changes with time, not with the motion: friction that warms up, a zero that grows, steps that repeat."""
+"""Torque that the motion does not explain: friction that warms up, a zero that grows, steps that repeat, contacts."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tauext import _core
+from tauext.check import joint_fit
+from tauext.check.examination import Examination
 from tauext.check.finding import Finding
-from tauext.check.joint_fit import CONSTANT, FRICTION, FitRows, JointFit, columns_of, robust_solve, solve
-from tauext.check.motion import MOVING_RAD_S
-from tauext.data.recording import Recording
+from tauext.check.joint_fit import RESISTS, FitRows, JointFit
+from tauext.check.motion import MOVING_RAD_S, RowFilter, smooth, stretches
+from tauext.config import FreeMotionConfig
+from tauext.data.recording import Recording, runs_of
+from tauext.data.servo import torque_unit
+
+# --- Torque that changes slowly, or by steps.
 
 
-def friction_findings(
-    rows: FitRows, joints: Sequence[str], fits: Sequence[JointFit], recordings: Sequence[Recording]
-) -> list[Finding]:
+def friction_findings(x: Examination) -> Iterator[Finding]:
     """Findings of friction that changes with time, for example while a gear warms up."""
-    found = []
-    for j, fit in enumerate(fits):
-        times_s, shares = friction_by_time(rows, j, fit)
+    for j, fit in enumerate(x.fits):
+        times_s, shares = friction_by_time(x.rows, j, fit)
         # the standard error of five or six windows is too uncertain, and so is friction that is little of the torque
         if len(times_s) < 7 or fit.friction_nm < 0.15 * fit.torque_nm:
             continue
@@ -29,20 +34,18 @@ def friction_findings(
         if abs(change) < 0.1 or abs(line.slope) < 5.0 * line.stderr:
             continue
         evidence = f"friction changes by {change:+.0%} in {minutes:.3g} minutes"
-        warm = [r.temperature[:, j] for r in recordings if r.temperature is not None]
+        warm = [r.temperature[:, j] for r in x.recordings if r.temperature is not None]
         if warm:
             evidence += f", while the motor goes from {warm[0][0]:.1f} to {warm[-1][-1]:.1f} degrees Celsius"
         advice = (
             "train on warm and on cold motion, or warm the arm up first; the monitor's drift tracker follows the rest"
         )
-        found.append(Finding("torque-changes", "warning", joints[j], evidence, advice))
-    return found
+        yield Finding("torque-changes", "warning", x.joints[j], evidence, advice)
 
 
 def friction_by_time(rows: FitRows, joint: int, fit: JointFit) -> tuple[np.ndarray, np.ndarray]:
     """Middle of each minute [s], and its friction relative to all data."""
-    columns = slice(CONSTANT + 1, CONSTANT + FRICTION)
-    friction = columns_of(rows, joint)[:, columns] @ fit.weights[columns]
+    friction = rows.columns(joint)[:, RESISTS] @ fit.weights[RESISTS]
     error = rows.tau[:, joint] - fit.predicted
     minute = ((rows.time_s - rows.time_s[0]) // 60.0).astype(int)
     times, shares = [], []
@@ -55,37 +58,37 @@ def friction_by_time(rows: FitRows, joint: int, fit: JointFit) -> tuple[np.ndarr
     return np.array(times), np.array(shares)
 
 
-def largest_errors(rows: FitRows, error: np.ndarray) -> np.ndarray:
-    """Largest |error| of each half second in which the arm moves, (times,); their median is the usual error."""
+def half_seconds(rows: FitRows) -> tuple[np.ndarray, np.ndarray]:
+    """First row of each half second, and whether the arm moves in it."""
     starts = np.r_[0, 1 + np.flatnonzero(np.diff((rows.time_s // 0.5).astype(int)))]
-    moves = np.maximum.reduceat((np.abs(rows.dq) > MOVING_RAD_S).any(axis=1), starts)
-    largest: np.ndarray = np.maximum.reduceat(np.abs(error), starts)[moves]
-    return largest
+    return starts, np.maximum.reduceat((np.abs(rows.dq) > MOVING_RAD_S).any(axis=1), starts)
 
 
-def growth_findings(rows: FitRows, joints: Sequence[str], fits: Sequence[JointFit], unit: str) -> list[Finding]:
+def growth_findings(x: Examination) -> Iterator[Finding]:
     """Findings of torques with an offset that grows steadily within the recordings.
 
     The fit of motion and friction gets a term in time. Each recording has an offset of its own, so that motion which
     differs between recordings is no growth. Blocks of five seconds of the errors give the standard error: a program
     repeats its motion at such times.
     """
+    rows = x.rows
     recording = np.unique(rows.recording, return_inverse=True)[1]
     rows_of_each = np.bincount(recording)
     lengths_s = [float(np.ptp(rows.time_s[recording == k])) for k in range(len(rows_of_each))]
     block = np.unique(recording * 10**6 + (rows.time_s // 5.0).astype(int), return_inverse=True)[1]
 
-    def centred(x: np.ndarray) -> np.ndarray:
-        return x - (np.bincount(recording, x) / rows_of_each)[recording]
+    def centred(signal: np.ndarray) -> np.ndarray:
+        return signal - (np.bincount(recording, signal) / rows_of_each)[recording]
 
     if block.max() + 1 < 12:
-        return []
-    time_s, found = centred(rows.time_s), []
-    for j, fit in enumerate(fits):
-        columns = np.column_stack([centred(column) for column in columns_of(rows, j).T])
-        columns[:, CONSTANT] = 1.0
+        return
+    time_s = centred(rows.time_s)
+    starts, moves = half_seconds(rows)
+    for j, fit in enumerate(x.fits):
+        columns = np.column_stack([centred(column) for column in rows.columns(j).T])
+        columns[:, joint_fit.CONSTANT] = 1.0
         torque = centred(rows.tau[:, j])
-        weights, trust = robust_solve(np.column_stack([columns, time_s]), torque)
+        weights, trust = joint_fit.robust_solve(np.column_stack([columns, time_s]), torque)
         growth, error = float(weights[-1]), torque - columns @ weights[:-1] - weights[-1] * time_s
         root = np.sqrt(trust)
         alone = time_s - columns @ np.linalg.lstsq(root[:, None] * columns, root * time_s, rcond=None)[0]
@@ -93,47 +96,166 @@ def growth_findings(rows: FitRows, joints: Sequence[str], fits: Sequence[JointFi
         sigma = np.sqrt(float((np.bincount(block, trust * alone * error) ** 2).sum())) / max(power, 1e-12)
         # in the longest recording it must exceed the usual error, and in all a quarter of the explained torque's
         # spread: a gear that warms up, with a wrong model, reaches 0.06
-        is_large = abs(growth) * max(lengths_s) > float(np.median(largest_errors(rows, error)))
-        is_large &= abs(growth) * sum(lengths_s) > 0.25 * fit.predicted.std()
+        usual = float(np.median(np.maximum.reduceat(np.abs(error), starts)[moves]))
+        is_large = abs(growth) * max(lengths_s) > usual and abs(growth) * sum(lengths_s) > 0.25 * fit.predicted.std()
         if is_large and abs(growth) > 6.0 * sigma:  # without a model, motion that changes with time reaches 4
-            evidence = f"the torque's zero changes by {60 * growth:+.3g} ± {60 * sigma:.2g} {unit} a minute"
+            evidence = f"the torque's zero changes by {60 * growth:+.3g} ± {60 * sigma:.2g} {x.unit} a minute"
             advice = (
                 "let electronics and arm warm up, repair or zero the sensor, then record again; a load that is filled "
                 "or emptied while recording does the same"
             )
-            found.append(Finding("torque-changes", "fault", joints[j], evidence, advice))
-    return found
+            yield Finding("torque-changes", "fault", x.joints[j], evidence, advice)
 
 
-def step_findings(rows: FitRows, joints: Sequence[str], fits: Sequence[JointFit], unit: str) -> list[Finding]:
+def step_findings(x: Examination) -> Iterator[Finding]:
     """Findings of torques that are off in a tenth of the time or more by far more than in the rest of it."""
+    rows, (starts, moves) = x.rows, half_seconds(x.rows)
     # friction at reversals reaches 5.3 usual errors with a model; without one the usual error is that of gravity, and
     # friction reaches 2.7
-    times, found = 6.0 if rows.has_model else 4.0, []
-    for j, fit in enumerate(fits):
+    times = 6.0 if rows.has_model else 4.0
+    for j, fit in enumerate(x.fits):
         predicted = closest_fit(rows, j, fit.predicted) if rows.has_model else fit.predicted
         error = rows.tau[:, j] - predicted
-        largest = largest_errors(rows, error - np.median(error))
+        largest = np.maximum.reduceat(np.abs(error - np.median(error)), starts)[moves]
         if len(largest) < 120:
             continue
         usual, step = np.percentile(largest, (50, 90))
         if step > times * usual and step > 0.5 * float(predicted.std()):
             share = float((largest > 0.5 * step).mean())
-            evidence = f"off by {step:.3g} {unit} in {share:.0%} of the motion, by {usual:.2g} {unit} usually"
+            evidence = f"off by {step:.3g} {x.unit} in {share:.0%} of the motion, by {usual:.2g} {x.unit} usually"
             advice = (
                 "pushes, a second load or a faulty signal that no label names: label or cut these times, or record "
                 "motion that nothing touches"
             )
-            found.append(Finding("torque-changes", "fault", joints[j], evidence, advice))
-    return found
+            yield Finding("torque-changes", "fault", x.joints[j], evidence, advice)
 
 
 def closest_fit(rows: FitRows, joint: int, predicted: np.ndarray) -> np.ndarray:
     """Torque of a fit to 60 % of the rows, those closest to this one, (rows,): steps in a third of the time distort a
     fit to all rows."""
-    columns, torque = columns_of(rows, joint), rows.tau[:, joint]
+    columns, torque = rows.columns(joint), rows.tau[:, joint]
     for _ in range(10):
         error = np.abs(torque - predicted)
         trust = np.where(error <= np.quantile(error, 0.6), 1.0, 1e-9)
-        predicted = columns @ solve(columns, torque, trust)
+        predicted = columns @ joint_fit.solve(columns, torque, trust)
     return predicted
+
+
+# --- Contacts in free motion, found from labels or from torque that the motion does not explain.
+
+
+@dataclass(frozen=True)
+class ContactRules:
+    """When an error of the torque is a disturbance. Good recordings reached 4.1 times the usual error."""
+
+    usual: float = 90.0  # percentile of the half seconds' largest errors that is usual: friction at reversals
+    alone: tuple[float, float] = (5.0, 8.0)  # multiples of the usual error and of the spread, at one joint
+    together: tuple[float, float] = (4.0, 6.0)  # at two: a contact also acts on the joints before its link
+    least_windows: int = 60  # half seconds of motion
+    # An impact lasts 50 to 200 ms, and the low-pass of the fits would halve it. Four filter time constants are left
+    # out at the ends: a longer margin would hide an impact that ends a program.
+    rows: RowFilter = RowFilter(10.0, 50.0, 0.1)
+
+
+def contact_findings(x: Examination) -> Iterator[Finding]:
+    """Recordings that are called free, by `called_free` or by what made them, and hold samples labelled contact. No
+    fault: what is labelled is left out of training and limits; what the label misses at its ends is not."""
+    for r in x.recordings:
+        free = r.name in x.called_free or r.provenance.get("contacts") == "none"
+        if not free or r.contact is None or not (r.contact == 1).any():
+            continue
+        touched = r.contact == 1
+        first = r.time_s[int(touched.argmax())]
+        evidence = f"'{r.name}': {touched.mean():.1%} of the samples are labelled contact, the first at {first:.2f} s"
+        advice = (
+            "they are left out of training and limits; list the recording with the collisions, or exclude the "
+            "interval, if the labels may begin late or end early"
+        )
+        yield Finding("contact-in-free-motion", "warning", None, evidence, advice, r.name)
+
+
+def unlabelled_findings(
+    recordings: Sequence[Recording], tree: _core.Tree | None, lag_s: float = 0.0, rules: ContactRules = ContactRules()
+) -> list[Finding]:
+    """Find disturbances far beyond the usual error that training would use as free motion; one finding for all.
+
+    The surroundings of a label are excluded, as in training; a label that comes later is found. Without a model nothing
+    is found, since an error of gravity at a rare pose resembles a push; nor are pushes below a few times the error at
+    friction reversals.
+
+    Args:
+        recordings: without faults of their signals.
+        lag_s: delay of the torque, [s].
+    """
+    # the torque through the positions' own filter, or steps of acceleration would appear in the torque alone
+    motion = [replace(s, tau=smooth(s.tau, s.rate_hz)) for s in stretches(recordings, contacts=True)]
+    if not motion or tree is None:
+        return []
+    rows = joint_fit.rows_of(motion, tree, lag_s, rules.rows)
+    free = ~near_label(rows, recordings)
+    # the joint has moved far enough to determine the direction of friction
+    gone = [np.maximum.accumulate(np.abs(s.q - s.q[0]), axis=0) > 2 * max(joint_fit.PRESLIDING_RAD) for s in motion]
+    known = np.concatenate([rules.rows.picked(moved, s.rate_hz) for moved, s in zip(gone, motion, strict=True)])
+    if free.sum() < joint_fit.LEAST_ROWS:
+        return []
+    errors, friction = np.zeros_like(rows.tau), np.zeros_like(rows.tau)
+    for j in range(rows.joints):
+        columns = rows.columns(j)
+        weights = joint_fit.robust_solve(columns[free], rows.tau[free, j])[0]
+        errors[:, j] = rows.tau[:, j] - columns @ weights
+        friction[:, j] = columns[:, RESISTS] @ weights[RESISTS]
+    errors -= np.median(errors[free], axis=0)
+    spread = np.maximum([joint_fit.robust_spread(x) for x in errors[free].T], 1e-12)
+    errors[~(known & free[:, None])] = 0.0
+    starts, moving = half_seconds(rows)
+    if moving.sum() < rules.least_windows:
+        return []
+    largest = np.maximum.reduceat(np.abs(errors), starts)
+    usual = np.maximum(np.percentile(largest[moving], rules.usual, axis=0), 1e-12)
+    swings = np.maximum.reduceat(rows.tau, starts) - np.minimum.reduceat(rows.tau, starts)
+    crawls = np.minimum.reduceat(np.abs(rows.dq), starts) < 0.05
+    # steps of acceleration leave errors, too; slow joints may stick and slip by half of their friction
+    least = 0.1 * np.maximum(swings, rows.tau.std(axis=0))
+    seen = largest > least + 0.5 * crawls * np.percentile(np.abs(friction), rules.usual, axis=0)
+    times, spreads = largest / usual, largest / spread
+    alone, together = (seen & (times > a) & (spreads > b) for a, b in (rules.alone, rules.together))
+    touched = alone.any(axis=1) | (together.sum(axis=1) >= 2)
+    if not touched.any():
+        return []
+    begins = runs_of(touched)[:, 0]
+    strongest = begins[np.argsort(-times[begins].max(axis=1))][:3]
+    windows = np.split(np.arange(len(errors)), starts[1:])
+    listed = [_described(errors, rows, windows[k], times[k], recordings) for k in strongest]
+    what = "disturbance" if len(begins) == 1 else "disturbances"
+    evidence = f"{len(begins)} {what} of the torque that the motion does not explain: {'; '.join(listed)}"
+    advice = "inspect these times: keep contacts out of training and limits, by a label or by cutting the recording"
+    return [Finding("contact-in-free-motion", "warning", None, evidence, advice)]
+
+
+def is_unlabelled_contact(finding: Finding) -> bool:
+    """Whether `unlabelled_findings` made this finding."""
+    return finding.code == "contact-in-free-motion" and finding.recording is None
+
+
+def near_label(rows: FitRows, recordings: Sequence[Recording]) -> np.ndarray:
+    """Rows (rows,) bool that training leaves out because a labelled contact is near."""
+    margins, start_s = FreeMotionConfig(), 0.0
+    near = np.zeros(len(rows.time_s), dtype=bool)
+    for r in recordings:
+        for first, after in [] if r.contact is None else runs_of(r.contact == 1).tolist():
+            begin, end = start_s + r.time_s[first] - margins.before_s, start_s + r.time_s[after - 1] + margins.after_s
+            near |= (rows.time_s >= begin) & (rows.time_s <= end)
+        start_s += r.duration_s
+    return near
+
+
+def _described(
+    errors: np.ndarray, rows: FitRows, window: np.ndarray, times: np.ndarray, recordings: Sequence[Recording]
+) -> str:
+    joint = int(np.argmax(times))
+    peak = window[int(np.argmax(np.abs(errors[window, joint])))]
+    recording = int(rows.recording[peak])
+    since = rows.time_s[peak] - sum(r.duration_s for r in recordings[:recording])
+    r = recordings[recording]
+    where = f"'{r.joints[joint]}' at {since:.1f} s of '{r.name}'"
+    return f"{errors[peak, joint]:.3g} {torque_unit(recordings)} at {where}, {times.max():.0f} times the usual error"

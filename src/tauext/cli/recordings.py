@@ -127,14 +127,14 @@ def print_joints_and_findings(out: Path) -> None:
 
 def print_joints(dataset: Dataset, recordings: Sequence[Recording], picture: Path) -> None:
     """Print what each joint did, and draw the first recording: a swap shows at a glance."""
-    from tauext.check.joint_table import cells, joint_motions
+    from tauext.check.motion import joint_table
     from tauext.data.servo import torque_unit
     from tauext.robot.read import load_tree
     from tauext.robot.write import is_placeholder
 
     robot, unit = dataset.robot_file(None), torque_unit(recordings)
     tree = None if is_placeholder(robot) else load_tree(robot, joints=recordings[0].joints)
-    print("\n".join(aligned(cells(joint_motions(recordings, tree), unit))))
+    print("\n".join(aligned(joint_table(recordings, tree, unit))))
     try:
         plugins.part("joint-picture")(recordings[0], tree, unit, picture)
     except ConfigError as missing:
@@ -143,7 +143,8 @@ def print_joints(dataset: Dataset, recordings: Sequence[Recording], picture: Pat
 
 def print_findings(dataset: Dataset, training: Sequence[Recording]) -> None:
     """Print on stderr the faults for which `tauext train` would refuse this dataset, and its warnings."""
-    from tauext.check.before_training import by_code, entries, finding_lines, sentence
+    from tauext.check.before_training import entries, sentence
+    from tauext.check.finding import by_code, finding_lines
     from tauext.config import PAPER_CASES, TrainConfig
     from tauext.robot.model_case import chosen_case
     from tauext.train.data_check import check_results
@@ -155,7 +156,7 @@ def print_findings(dataset: Dataset, training: Sequence[Recording]) -> None:
     given = TrainingInput(robot, case, training, dataset.recordings("validation"))
     results = check_results(dataset, given, TrainConfig(), terminal)
     findings = [finding for result in results.values() for finding in result]
-    for entry in entries(finding for finding in findings if finding.severity == "warning"):
+    for entry in entries(findings, "warning"):
         terminal.say(f"warning: {sentence(entry)}")
     faults = [finding for finding in findings if finding.severity == "fault"]
     if faults:

@@ -1,23 +1,16 @@
 """Small synthetic datasets that lack something, and what becomes of each: a healthy bundle or one line of refusal.
 
-    python tests/small_datasets.py --count 364 --workers 2     # prints a summary; exit status 1 if one ended badly
-    python tests/small_datasets.py --first 17 --count 1        # one dataset, with its tracebacks
-
 A dataset is one of ARMS moved and measured as one of SIGNALS says; its number gives both and the seed.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
-import re
-import sys
 import tempfile
 import traceback
 import warnings
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from contextlib import redirect_stdout
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -348,11 +341,6 @@ class Ending:
     message: str = ""
     fault: str = ""
 
-    @property
-    def reason(self) -> str:
-        """The message without names and numbers, to count alike ones together."""
-        return re.sub(r"[-+]?\d[\d.e+-]*", "#", re.sub(r"'[^']*'|joint\d|/\S*|free-\S*", "~", self.message))[:110]
-
 
 def ended(small: Small, stage: str, work: Callable[[], str]) -> Ending:
     """The ending of some work, which returns what is wrong with its result, or nothing.
@@ -405,14 +393,12 @@ def unhealthy(path: Path, training: Sequence[Recording]) -> str:
     return ""
 
 
-def endings(number: int, folder: Path, recipes: Sequence[str] | None = None) -> Iterator[Ending]:
-    """Train a dataset by its recipes, with what the doctor minds accepted, and use what comes of it."""
-    small = Small(number)
+def endings(small: Small, folder: Path, recipes: Sequence[str]) -> Iterator[Ending]:
+    """Train a dataset by these recipes, with what the doctor minds accepted, and use what comes of it."""
     data = small.write(folder / "data")
-    for recipe in recipes or small.recipes:
+    for recipe in recipes:
         out = folder / f"{recipe}.tauext"
-        first = ended(small, recipe, lambda out=out, recipe=recipe: train(small, data, out, recipe))
-        yield first
+        yield (first := ended(small, recipe, lambda out=out, recipe=recipe: train(small, data, out, recipe)))
         if first.message.startswith("the doctor"):
             codes = tuple(faults(small, data, recipe, folder / "looked.tauext"))
             work = lambda out=out, recipe=recipe, codes=codes: train(small, data, out, recipe, codes)  # noqa: E731
@@ -437,92 +423,37 @@ def uses(small: Small, data: Path, bundle: Path) -> Iterator[Ending]:
     from tauext.train.calibrate import recalibrate
     from tauext.train.refit import refit_bundle
 
-    dataset, recipe = load_dataset(data), bundle.stem
-    recording = data / dataset.split.train[0]
+    dataset, recipe, accept = load_dataset(data), bundle.stem, tuple(codes())
+    train, recording = dataset.split.train, data / dataset.split.train[0]
 
     def refitted() -> str:
         out = bundle.with_name(f"{recipe}-refit.tauext")
-        refit_bundle(bundle, data, out, threads=1, accept=tuple(codes()))
+        refit_bundle(bundle, data, out, threads=1, accept=accept)
         return unhealthy(out, dataset.training())
 
-    def calibrated(new_scale: bool) -> Callable[[], str]:
-        def work() -> str:
-            out = bundle.with_name(f"{recipe}-calibrated.tauext")
-            own = replace(
-                dataset, split=replace(dataset.split, train=(), validation=(), calibration=dataset.split.train)
-            )
-            recalibrate(bundle, own, out, AlarmConfig(), 1, refit_error_scale=new_scale, accept=tuple(codes()))
-            return unhealthy(out, dataset.training())
+    def calibrated() -> str:
+        out, new_scale = bundle.with_name(f"{recipe}-calibrated.tauext"), len(train) > 1 and small.number % 4 == 0
+        own = replace(dataset, split=replace(dataset.split, train=(), validation=(), calibration=train))
+        recalibrate(bundle, own, out, AlarmConfig(), 1, refit_error_scale=new_scale, accept=accept)
+        return unhealthy(out, dataset.training())
 
-        return work
-
-    def weighed(known_kg: float | None) -> Callable[[], str]:
-        def work() -> str:
-            out = None if known_kg is None else bundle.with_name(f"{recipe}-weighed.tauext")
-            with open(os.devnull, "w") as nowhere:
-                from contextlib import redirect_stdout
-
-                with redirect_stdout(nowhere):
-                    load(bundle, (recording,), known_kg=known_kg, out=out)
-            if out is not None:
-                load_bundle(out)
-            return ""
-
-        return work
+    def weighed(known_kg: float | None) -> str:
+        out = None if known_kg is None else bundle.with_name(f"{recipe}-weighed.tauext")
+        with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
+            load(bundle, (recording,), known_kg=known_kg, out=out)
+        if out is not None:
+            load_bundle(out)
+        return ""
 
     if recipe in (*MAIN, "friction"):
         yield ended(small, f"{recipe}, refit", refitted)
-    yield ended(small, f"{recipe}, calibrate", calibrated(len(dataset.split.train) > 1 and small.number % 4 == 0))
-    yield ended(small, f"{recipe}, load", weighed(None))
-    yield ended(small, f"{recipe}, load --known-kg", weighed(1.0))
+    yield ended(small, f"{recipe}, calibrate", calibrated)
+    yield ended(small, f"{recipe}, load", lambda: weighed(None))
+    yield ended(small, f"{recipe}, load --known-kg", lambda: weighed(1.0))
 
 
-def of_number(number: int, recipes: Sequence[str] | None = None) -> list[Ending]:
-    """All endings of one dataset, in a folder of its own.
-
-    Args:
-        recipes: of its trainings; None: its own three.
-    """
+def of_number(number: int, recipes: Sequence[str] = ()) -> list[Ending]:
+    """All endings of one dataset, by these recipes or its own three, in a folder of its own."""
+    small = Small(number)
     with tempfile.TemporaryDirectory() as folder:
-        return list(endings(number, Path(folder), recipes))
-
-
-def summary(found: Sequence[Ending]) -> str:
-    """Bundles, refusals by reason, and faults."""
-    bad = [one for one in found if one.fault]
-    trainings = [one for one in found if "," not in one.stage and not one.message.startswith("the doctor")]
-    lines = [
-        f"{len({one.number for one in found})} datasets, {len(trainings)} trainings, "
-        f"{len(found) - len(trainings)} other endings",
-        f"{sum(not one.fault and not one.message for one in trainings)} bundles of trainings, "
-        f"{sum(bool(one.message) for one in found)} refusals, {len(bad)} faults, of which "
-        f"{sum(one.fault.startswith('CoreError') for one in bad)} CoreErrors and "
-        f"{sum('Traceback' in one.fault and not one.fault.startswith('CoreError') for one in bad)} other exceptions",
-        *(f"{count:5d}  {reason}" for reason, count in Counter(o.reason for o in found if o.message).most_common()),
-        *(f"FAULT {one.number} {one.words} [{one.stage}]: {one.fault.splitlines()[0][:200]}" for one in bad),
-    ]
-    return "\n".join(lines)
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--count", type=int, default=COUNT)
-    parser.add_argument("--step", type=int, default=1)
-    parser.add_argument("--workers", type=int, default=1)
-    options = parser.parse_args()
-    numbers = range(options.first, options.first + options.count, options.step)
-    found: list[Ending] = []
-    os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="small-datasets-")  # what the doctor found is remembered
-    with ProcessPoolExecutor(options.workers) as pool:
-        for some in pool.map(of_number, numbers):
-            found += some
-            for one in some:
-                if one.fault or options.count == 1:
-                    print(f"{one.number} {one.words} [{one.stage}]: {one.fault or one.message or 'bundle'}", flush=True)
-    print(summary(found))
-    return 1 if any(one.fault for one in found) else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        return list(endings(small, Path(folder), recipes or small.recipes))

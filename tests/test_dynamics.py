@@ -43,27 +43,21 @@ def assert_relative(found, expected, tolerance):
     assert worst <= tolerance, f"relative difference {worst:.3g}, wanted {tolerance:.3g}"
 
 
-def test_p_and_beta_equal_those_of_pinocchio(tmp_path, parts):
+@pytest.mark.parametrize("name", [*ARMS, *FILE_ARMS])
+def test_p_and_beta_equal_those_of_pinocchio(tmp_path, name):
     pinocchio = pytest.importorskip("pinocchio_oracle")
-    tree = read(tmp_path, parts)
-    model = pinocchio.read_model(urdf(parts), {part.joint: part.rotor_inertia for part in parts})
-    q, dq = random_states(len(parts), 1000, seed=1)
+    if name in ARMS:
+        arm = ARMS[name]()
+        tree, model = read(tmp_path, arm), pinocchio.read_model(urdf(arm), {p.joint: p.rotor_inertia for p in arm})
+    else:
+        path = MODELS / f"{name}.urdf"
+        if not os.environ.get("TAUEXT_DATA") or not path.is_file():
+            pytest.skip("TAUEXT_DATA names no folder with models/")
+        tree = load_tree(path, locked=FILE_ARMS[name])
+        model = pinocchio.locked(pinocchio.read_model(path.read_text()), FILE_ARMS[name])
+    q, dq = random_states(tree.size, 1000, seed=1)
     joints = [link.joint_name for link in tree.links]
     # Both round in the 16th digit; 1e-10 leaves room for the readers' own trigonometry and inertia axes.
-    for found, expected in zip(tree.momentum(q, dq), pinocchio.momentum(model, q, dq, joints), strict=True):
-        assert_relative(found, expected, 1e-10)
-
-
-@pytest.mark.parametrize("name", FILE_ARMS)
-def test_p_and_beta_of_published_arms_equal_those_of_pinocchio(name):
-    path = MODELS / f"{name}.urdf"
-    if not os.environ.get("TAUEXT_DATA") or not path.is_file():
-        pytest.skip("TAUEXT_DATA names no folder with models/")
-    pinocchio = pytest.importorskip("pinocchio_oracle")
-    tree = load_tree(path, locked=FILE_ARMS[name])
-    model = pinocchio.locked(pinocchio.read_model(path.read_text()), FILE_ARMS[name])
-    q, dq = random_states(tree.size, 1000, seed=2)
-    joints = [link.joint_name for link in tree.links]
     for found, expected in zip(tree.momentum(q, dq), pinocchio.momentum(model, q, dq, joints), strict=True):
         assert_relative(found, expected, 1e-10)
 

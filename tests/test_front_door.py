@@ -175,20 +175,6 @@ def test_a_name_that_is_not_there_is_an_attribute_error():
         tauext.load_bundle("gone.tauext")
 
 
-def test_from_recording_to_estimate_as_the_docstring_says(tmp_path):
-    bundle, recording = watching_bundle(), pushed()
-    bundle.save(str(tmp_path / "arm.tauext"))
-    tauext.save_recording(recording, tmp_path / "pushed.parquet")
-    bundle, recording = tauext.load_bundle(tmp_path / "arm.tauext"), tauext.load_recording(tmp_path / "pushed.parquet")
-    estimates = tauext.estimate_recording(bundle, recording)
-    assert isinstance(estimates, tauext.Estimates) and isinstance(bundle, tauext.Bundle)
-    monitor = tauext.Monitor(bundle)
-    for k in range(recording.samples):
-        answer = monitor.step(int(recording.t_ns[k]), recording.q[k], recording.dq[k], recording.tau[k])
-        np.testing.assert_array_equal(np.float32(answer.tau_ext), estimates.tau_ext[k])
-    assert answer.health == tauext.Health.ok and answer.alarm == tauext.Alarm.collision
-
-
 def test_readme_examples_and_docs_use_nothing_private():
     written = [page for page in (ROOT / "docs").rglob("*.md") if "made" not in page.parts]  # not what a build makes
     examples = [file for file in (ROOT / "examples").rglob("*") if file.is_file() and file.suffix != ".pyc"]
@@ -230,26 +216,3 @@ def test_every_public_field_and_function_has_a_docstring(cls):
     if dataclasses.is_dataclass(cls):
         missing += undocumented_fields(cls)
     assert not missing
-
-
-def test_what_has_none_is_found():
-    @dataclasses.dataclass
-    class Made:
-        told: int = 0
-        """What it is."""
-        silent: int = 1
-
-        def spoken(self) -> None:
-            """What it does."""
-
-        def mute(self) -> None: ...
-
-    assert list(undocumented_fields(Made)) == ["silent"] and list(undocumented_members(Made)) == ["mute"]
-
-    def getter(self) -> int:
-        return 1
-
-    getter.__doc__ = "(self) -> int"  # all that the C++ module says by itself
-    assert list(undocumented_members(type("Core", (), {"number": property(getter)}))) == ["number"]
-    getter.__doc__ += "\n\nHow many."
-    assert list(undocumented_members(type("Core", (), {"number": property(getter)}))) == []

@@ -556,42 +556,33 @@ def with_links(tree: _core.Tree, **changes: tuple) -> _core.Tree:
     return _core.Tree(links, tree.gravity)
 
 
-def test_an_inertia_that_is_too_large_beside_no_rotor_inertia_is_corrected():
-    """A robot file often has no rotor inertia; an inertia too large in it must not end as a negative rotor inertia."""
-    true = with_links(planar_arm(), rotor_inertia=(0.0, 0.0))
-    estimated = with_links(true, inertia=([0.2, 0.2, 0.2, 0, 0, 0], [0.14, 0.14, 0.14, 0, 0, 0]))
-    setup, made = setup_of(estimated), recordings(unloaded, tree=true)
+NO_ROTORS = {"rotor_inertia": (0.0, 0.0)}
+LARGE = {"inertia": ([0.2, 0.2, 0.2, 0, 0, 0], [0.14, 0.14, 0.14, 0, 0, 0])}
+NOTHING = {"mass": 0.0, "com": [0.0] * 3, "inertia": [0.0] * 6}
+
+
+def massless(which: int) -> dict[str, tuple]:
+    """This link as a file has it that states no inertial."""
+    links = planar_arm().links
+    return {name: tuple(none if k == which else getattr(link, name) for k, link in enumerate(links))
+            for name, none in NOTHING.items()}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("true", "estimated", "first_seed"),
+    [
+        (NO_ROTORS, NO_ROTORS | LARGE, 0),  # must not end as a negative rotor inertia
+        (NO_ROTORS, {}, 0),  # noise decides on which side of zero what is left of a rotor comes out; both must do
+        (NO_ROTORS, {}, 30),
+        ({}, massless(0), 0),
+        ({}, massless(1), 0),
+    ],
+)
+def test_what_the_robot_file_has_too_much_or_too_little_is_corrected(true, estimated, first_seed):
+    made = recordings(unloaded, tree=with_links(planar_arm(), **true), first_seed=first_seed)
+    setup = setup_of(with_links(planar_arm(), **estimated))
     fit = fit_prior(setup, made, CORRECTED)
-    left = np.vstack([remaining(setup, fit, one) for one in made])
-    np.testing.assert_allclose(np.sqrt(np.mean(left**2, axis=0)), FILTERED_NOISE_NM, rtol=0.06)
-
-
-def test_a_rotor_inertia_that_the_robot_does_not_have_is_taken_away():
-    """Noise decides whether what is left of it comes out just above or just below zero; both must do."""
-    true = with_links(planar_arm(), rotor_inertia=(0.0, 0.0))
-    setup = setup_of(planar_arm())
-    for first_seed in (0, 30):
-        fit = fit_prior(setup, recordings(unloaded, tree=true, first_seed=first_seed), CORRECTED)
-        assert all(link.rotor_inertia >= 0 for link in fit.settings.corrected_links)
-        np.testing.assert_allclose(fit.error_nm, FILTERED_NOISE_NM, rtol=0.06)
-
-
-@pytest.mark.parametrize("massless", [0, 1])
-def test_a_link_without_mass_in_the_robot_file_is_corrected_too(massless):
-    mass, com, inertia = (
-        (8.191, 9.920),
-        ([0.12079, 0, 0], [0.16078, 0, 0]),
-        ([0.06] * 3 + [0] * 3, [0.07] * 3 + [0] * 3),
-    )
-    kept = [k != massless for k in range(2)]
-    estimated = with_links(
-        planar_arm(),
-        mass=tuple(m * k for m, k in zip(mass, kept, strict=True)),
-        com=tuple([c * k for c in cs] for cs, k in zip(com, kept, strict=True)),
-        inertia=tuple([i * k for i in own] for own, k in zip(inertia, kept, strict=True)),
-    )
-    setup, made = setup_of(estimated), recordings(unloaded)
-    fit = fit_prior(setup, made, CORRECTED)
+    assert all(link.rotor_inertia >= 0 for link in fit.settings.corrected_links)
     left = np.vstack([remaining(setup, fit, one) for one in made])
     np.testing.assert_allclose(np.sqrt(np.mean(left**2, axis=0)), FILTERED_NOISE_NM, rtol=0.06)
 
@@ -728,7 +719,6 @@ def test_textbook_friction_without_a_model_leaves_gravity_in_r():
 
 
 SERVO = {"servo": {"torque_from": "duty", "velocity_steps": 20}}
-STEADY = replace(CORRECTED, correct_model=False)
 
 
 def with_play(q, dq, beta):
@@ -754,7 +744,7 @@ def servo_recordings():
 
 def test_play_is_found_at_its_joint_and_width(servo_recordings):
     said = []
-    fit = fit_prior(setup_of(planar_arm()), servo_recordings, STEADY, said.append)
+    fit = fit_prior(setup_of(planar_arm()), servo_recordings, ONE_SPEED, said.append)
     assert [(t.a, t.b) for t in fit.settings.terms if t.kind == Kind.backlash] == [(0, 1)]
     # r holds beta (1 - |z|) whole: a weight of 1.
     assert fit.weights[0, where(fit, 0, "backlash", 1)] == pytest.approx(1.0, abs=0.05)
@@ -763,10 +753,8 @@ def test_play_is_found_at_its_joint_and_width(servo_recordings):
 
 def test_other_arms_and_arms_without_play_have_none(servo_recordings):
     plain = [replace(one, provenance={}) for one in servo_recordings]
-    fit = fit_prior(setup_of(planar_arm()), plain, STEADY)
-    assert not [t for t in fit.settings.terms if t.kind == Kind.backlash]
     made = [record(planar_arm(), turning(seed), loaded, 0.2, seed) for seed in range(6)]
-    tight = [replace(one, provenance=SERVO) for one in made]
-    fit = fit_prior(setup_of(planar_arm()), tight, STEADY)
-    assert not [t for t in fit.settings.terms if t.kind == Kind.backlash]
+    for recorded in (plain, [replace(one, provenance=SERVO) for one in made]):
+        fit = fit_prior(setup_of(planar_arm()), recorded, ONE_SPEED)
+        assert not [t for t in fit.settings.terms if t.kind == Kind.backlash]
     assert play_sentence((None, None), WIDTHS, ("shoulder", "elbow")) == ""

@@ -236,13 +236,3 @@ def test_every_command_within_a_sentence_is_one_that_the_command_line_accepts(pa
     """It may leave out what it needs, and no more: no option that does not exist, no path without its option."""
     if page != "reference/cli.md":  # `tauext COMMAND --help`
         assert [found for command in Page(page).mentioned() if (found := complaint(command))] == []
-
-
-def test_a_command_that_does_not_exist_is_found(tmp_path, monkeypatch):
-    monkeypatch.setattr("doc_pages.DOCS", tmp_path)
-    (tmp_path / "page.md").write_text(
-        "`tauext calibrate BUNDLE --data TASK --out OUT`, `tauext train --likes`, `tauext trian`, "
-        "`tauext\ntrain --like X`"
-    )
-    found = [complaint(command) for command in Page("page.md").mentioned()]
-    assert [bool(one) for one in found] == [True, True, True, False], found

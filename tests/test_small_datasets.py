@@ -9,7 +9,7 @@ import pytest
 from made_arms import planar_arm
 from made_planar import CONFIG, dataset, moving
 from scipy.optimize import lsq_linear
-from small_datasets import ARMS, COUNT, SIGNALS, Ending, of_number, summary
+from small_datasets import ARMS, COUNT, SIGNALS, Ending, of_number
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
@@ -49,8 +49,8 @@ FEW = [
 
 def expect_sound(endings: Iterable[Ending]) -> None:
     """Every ending is a healthy bundle or one line."""
-    found = list(endings)
-    assert not [one for one in found if one.fault], summary(found)
+    bad = [f"{one.number} {one.words} [{one.stage}]: {one.fault}" for one in endings if one.fault]
+    assert not bad, "\n".join(bad)
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import json
 import os
 import pickle
 import signal
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -49,28 +50,33 @@ def evaluated(place: Path, out: str) -> dict:
     return json.loads((place / out / "results.json").read_text())
 
 
-def killed_while_evaluating(place: Path, out: str, at: int) -> None:
-    """In a process of its own, by SIGKILL, while recording number `at` is judged."""
+def killed(module, name: str, at: int, work: Callable[[], object]) -> None:
+    """Work in a process of its own that ends by SIGKILL, at this call of a module's function."""
     pid = os.fork()
     if pid == 0:
-        judged, calls = comparison.estimate_recording, []
+        called, calls = getattr(module, name), []
 
-        def killed(*arguments):
+        def counted(*arguments):
             calls.append(1)
-            if len(calls) == 2 * at + 1:  # of two bundles
+            if len(calls) == at:
                 os.kill(os.getpid(), signal.SIGKILL)
-            return judged(*arguments)
+            return called(*arguments)
 
-        comparison.estimate_recording = killed
-        evaluated(place, out)
+        setattr(module, name, counted)
+        work()
         os._exit(0)  # not reached
     assert os.WTERMSIG(os.waitpid(pid, 0)[1]) == signal.SIGKILL
+
+
+def killed_while_evaluating(place: Path, out: str) -> None:
+    """While the third recording is judged, of two bundles."""
+    killed(comparison, "estimate_recording", 5, lambda: evaluated(place, out))
 
 
 def test_a_killed_evaluation_goes_on_to_the_same_results(place, at_once, monkeypatch):
     whole = evaluated(place, "whole")
     assert not (place / "whole" / "evaluate.half-done").exists()
-    killed_while_evaluating(place, "killed", at=2)
+    killed_while_evaluating(place, "killed")
     assert (place / "killed" / "evaluate.half-done").exists() and not (place / "killed" / "results.json").exists()
     judged, again = comparison.estimate_recording, []
     monkeypatch.setattr(comparison, "estimate_recording", lambda *a: (again.append(a[1].name), judged(*a))[1])
@@ -82,7 +88,7 @@ def test_a_killed_evaluation_goes_on_to_the_same_results(place, at_once, monkeyp
 
 
 def test_a_state_of_other_work_counts_as_none(place, at_once):
-    killed_while_evaluating(place, "out", at=2)
+    killed_while_evaluating(place, "out")
     save_recording(pushed("made-3", pushes=((2.0, 1, 9.0),)), place / "made-3.parquet")
     assert evaluated(place, "out") == evaluated(place, "whole")
 
@@ -129,20 +135,7 @@ def test_a_killed_calibration_goes_on_to_the_same_limits(place, at_once, monkeyp
         recalibrate(place / "one.tauext", load_dataset(place), new, alarm, threads=1, accept=["limit-wide"])
         return new.read_bytes()
 
-    pid = os.fork()
-    if pid == 0:
-        judged, calls = error_scale.judge, []
-
-        def killed(*arguments):
-            calls.append(1)
-            if len(calls) == 5:
-                os.kill(os.getpid(), signal.SIGKILL)
-            return judged(*arguments)
-
-        error_scale.judge = killed
-        calibrated("killed")
-        os._exit(0)  # not reached
-    assert os.WTERMSIG(os.waitpid(pid, 0)[1]) == signal.SIGKILL
+    killed(error_scale, "judge", 5, lambda: calibrated("killed"))
     kept = place / "killed" / "new.limits.half-done"
     assert kept.exists()
     judged, again = error_scale.judge, []

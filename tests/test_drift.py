@@ -73,8 +73,11 @@ def test_lower_friction_is_followed(fitted):
     last = slice(-20_000, None)
     drifting = tracking(bundle, fit)
     before = _core.estimate(bundle, *signals, 1)["tau_ext"][last]
-    after = _core.estimate(drifting, *signals, 1)["tau_ext"][last]
+    said = _core.estimate(drifting, *signals, 1)
+    after = said["tau_ext"][last]
     assert (np.sqrt((after**2).mean(axis=0)) < 0.5 * np.sqrt((before**2).mean(axis=0))).all()
+    of_monitor = _core.Monitor(drifting).run(*signals)["uncertainty"]
+    np.testing.assert_array_equal(of_monitor[600:], (said["prior"] + said["network"] + said["drift"])[600:])
 
 
 def with_sigma(bundle: _core.Bundle, sigma_nm: float) -> _core.Bundle:

@@ -109,17 +109,13 @@ def test_the_c_program_finds_in_a_csv_what_the_monitor_finds_in_python(programs,
     assert out[0] == "tau in N m N m"
     assert [line.partition(" on ")[0] for line in out[1:-1]] == expected
     assert out[-1].startswith(f"{made.samples} samples; tau_ext ")
+    code, own, err = run(programs / "02_c_program", place / "watching.tauext", 1)  # samples of its own
+    assert code == 0, err
+    assert own[1] == "0.000 s: health warming up, alarm none" and own[-1].startswith("1000 samples; ")
     few = [*csv.splitlines()[1:6], "7,1,2"]
     code, out, err = run(programs / "02_c_program", place / "watching.tauext", text="\n".join(few))
     assert (code, out[-1][:9]) == (2, "5 samples")
     assert err == "line after sample 5: t_ns and 6 values belong there\n"
-
-
-def test_the_c_program_makes_its_own_samples_where_there_are_none(programs, place):
-    code, out, err = run(programs / "02_c_program", place / "watching.tauext", 1)
-    assert code == 0, err
-    assert out[1] == "0.000 s: health warming up, alarm none"
-    assert out[-1].startswith("1000 samples; ")
 
 
 def test_one_recording_in_amperes_gets_one_answer_to_the_last_bit_whoever_asks(programs, package, tmp_path):
@@ -177,23 +173,14 @@ def test_the_replay_prints_both_pushes(place):
 
 
 @pytest.mark.parametrize("example", ["01_control_loop", "02_c_program", "03_replay.py", "05_answers"])
-@pytest.mark.parametrize("damage", ["missing", "cut"])
-def test_a_bundle_that_cannot_be_used_is_one_line_and_exit_code_two(programs, place, tmp_path, example, damage):
-    bundle = tmp_path / f"{damage}.tauext"
-    if damage == "cut":
-        bundle.write_bytes((place / "watching.tauext").read_bytes()[:-1])
-    command = [programs / example, bundle]
-    if example.endswith(".py"):
-        command = [sys.executable, ROOT / "examples" / example, bundle, place / "pushed.parquet"]
-    code, out, err = run(*command)
-    assert (code, out) == (2, [])
-    assert err.count("\n") == 1
-    assert f"{damage}.tauext: " in err
-
-
-@pytest.mark.parametrize("example", ["01_control_loop", "02_c_program", "03_replay.py", "05_answers"])
-def test_no_arguments_give_the_usage(programs, example):
+@pytest.mark.parametrize(
+    ("damage", "says"), [("missing", "missing.tauext: "), ("cut", "cut.tauext: "), (None, "usage: ")]
+)
+def test_no_bundle_or_one_that_cannot_be_used_is_one_line(programs, place, tmp_path, example, damage, says):
     command = [sys.executable, ROOT / "examples" / example] if example.endswith(".py") else [programs / example]
+    if damage:
+        (tmp_path / "cut.tauext").write_bytes((place / "watching.tauext").read_bytes()[:-1])
+        command.append(tmp_path / f"{damage}.tauext")
+        command += [place / "pushed.parquet"] if example.endswith(".py") else []
     code, out, err = run(*command)
-    assert (code, out) == (2, [])
-    assert err.startswith("usage: ") and err.count("\n") == 1
+    assert (code, out, err.count("\n")) == (2, [], 1) and says in err

@@ -81,24 +81,30 @@ def saved(bundle: _core.Bundle, folder: Path) -> Path:
     return path
 
 
-def looped(
-    bundle: _core.Bundle | None,
-    script: Sequence[Sample | Callable[[], bool]],
-    sinks: Sequence = (),
-    each: Callable = lambda verdict: None,
-    profiles=None,
-    **settings,
-) -> tuple[Loop, Keeper, list[Exchanged]]:
-    keeper = Keeper(each)
+def loop_of(bundle: _core.Bundle | None, script: Sequence, sinks: Sequence = (), profiles=None, **settings) -> Loop:
+    """A loop on this script, not yet run; its swaps know it, and `exchanged` is a list of what came."""
     given = LoopSettings(**({"missing_after_s": 60.0} | settings))
-    loop = Loop(bundle, Warm(script), [keeper, *sinks], None, profiles, settings=given, arm=ARM)
+    loop = Loop(
+        bundle, Warm(script), sinks, None, profiles, settings=given, arm=ARM if bundle is None else settings_of(bundle)
+    )
     for one in script:
         if isinstance(one, Swap):
             one.loop = loop
-    exchanged: list[Exchanged] = []
+    return loop
+
+
+def looped(
+    bundle: _core.Bundle | None, script: Sequence, sinks: Sequence = (), each: Callable = lambda verdict: None, **more
+) -> tuple[Loop, Keeper, list[Exchanged]]:
+    keeper, exchanged = Keeper(each), []
+    loop = loop_of(bundle, script, [keeper, *sinks], **more)
     loop.exchanged = exchanged.append
     loop.run()
     return loop, keeper, exchanged
+
+
+def columns_of(samples: Sequence[Sample]) -> list[np.ndarray]:
+    return [np.array([getattr(one, name) for one in samples]) for name in ("t_ns", "q", "dq", "tau")]
 
 
 class Warm(ScriptedSource):
@@ -169,9 +175,8 @@ def test_the_new_bundle_answers_as_one_that_replayed_the_same_seconds(phase, mod
 
     def repeat(begin: int, end: int) -> dict[str, np.ndarray]:
         rows = samples[begin:end]
-        signals = [np.array([getattr(s, name) for s in rows]) for name in ("t_ns", "q", "dq", "tau")]
         warm = np.array([s.temperature for s in rows]) if rows[0].temperature is not None else None
-        return fresh.run(*signals, None, warm)
+        return fresh.run(*columns_of(rows), None, warm)
 
     repeat(first, one.row)
     fresh.carry_alarm(one.left)
@@ -220,8 +225,7 @@ def test_the_same_bundle_changes_next_to_nothing(tmp_path):
     samples = samples_of(pushed(seconds=5, pushes=((2.0, 0, 12.0),)))
     swap = Swap(saved(old, tmp_path))
     _, keeper, _ = looped(old, [*samples[:4000], swap, *samples[4000:]])
-    signals = [np.array([getattr(s, name) for s in samples]) for name in ("t_ns", "q", "dq", "tau")]
-    plain = _core.Monitor(old).run(*signals)
+    plain = _core.Monitor(old).run(*columns_of(samples))
     assert swap.answer == ""
     for name in ("health", "causes", "alarm", "alarm_joint", "touch", "limit_nm"):
         np.testing.assert_array_equal(np.concatenate([v.estimates[name] for v in keeper.verdicts]), plain[name])
@@ -245,9 +249,7 @@ def test_a_loop_that_never_stops_is_exchanged_again_and_again(tmp_path):
 
     samples = samples_of(pushed(seconds=120, pushes=()))
     keeper = Keeper(lambda verdict: verdict.row == 2000 and again())
-    loop = Loop(
-        bundle_of("old"), ScriptedSource(samples), [keeper], settings=LoopSettings(missing_after_s=60.0), arm=ARM
-    )
+    loop = loop_of(bundle_of("old"), samples, [keeper])
     loop.run()
     assert answers == [""] * 8, answers
     assert [verdict.row for verdict in keeper.verdicts] == list(range(loop.samples))
@@ -287,8 +289,7 @@ def test_a_newer_bundle_replaces_one_that_waits_and_one_that_fails_stops_nothing
     script = [*samples[:4000], lambda: all(not loop.exchange(path, fails) for path in asked), swap, *samples[4000:]]
     failing = Failing()
     keeper = Keeper()
-    settings = LoopSettings(missing_after_s=60.0)
-    loop = swap.loop = Loop(bundle_of("old"), ScriptedSource(script), [keeper, failing], settings=settings, arm=ARM)
+    loop = loop_of(bundle_of("old"), script, [keeper, failing])
     notes: list[str] = []
     loop.note = notes.append
     loop.run()
@@ -306,8 +307,7 @@ def test_reactions_and_profiles_that_the_bundle_cannot_serve_keep_it_out(tmp_pat
     for settings, why in (({"wrench": "tool0"}, "wrench = 'tool0'"), ({}, "reaction 'near the hand': the place")):
         samples = samples_of(pushed(seconds=2, pushes=()))
         swap = Swap(other)
-        given = LoopSettings(missing_after_s=60.0, **settings)
-        loop = swap.loop = Loop(None, ScriptedSource([*samples, swap]), settings=given, arm=ARM)
+        loop = loop_of(None, [*samples, swap], **settings)
         loop._reactions = SimpleNamespace(threads=[SimpleNamespace(reaction=rule)], end=lambda: None)
         loop.run()
         assert why in swap.answer and isinstance(loop.monitor, NoMonitor)
@@ -345,22 +345,15 @@ def test_an_alarm_keeps_its_places_and_drift_is_reported_anew():
 
 
 def test_before_any_bundle_nothing_is_monitored_and_the_first_one_takes_over(tmp_path):
-    class Following:
+    class Following(Keeper):
         def __init__(self):
+            super().__init__()
             self.followed = []
 
         def open(self, joints, control):
-            self.control = control
-            load = "load mass=1 com=0,0,0"
-            self.refused = [obey(line, control, "x") for line in (load, "weigh", "expect seconds=1 at_most=1")]
-
-        def verdict(self, verdict):
-            pass
-
-        every_second = verdict
-
-        def close(self):
-            pass
+            super().open(joints, control)
+            lines = ("load mass=1 com=0,0,0", "weigh", "expect seconds=1 at_most=1")
+            self.refused = [obey(line, control, "x") for line in lines]
 
         def follow(self, bundle, monitor):
             self.followed.append((bundle.name, monitor))
@@ -449,11 +442,8 @@ def test_a_load_is_carried_and_an_expected_one_delays_the_exchange(tmp_path):
         return early.answer is not None or time.monotonic() > expired
 
     script = [*samples[:PICKED], early, *samples[PICKED:5400], arrived, *samples[5400:5500], swap, *samples[5500:]]
-    settings = LoopSettings(missing_after_s=60.0)
-    loop = Loop(bundle, ScriptedSource(script), [keeper], settings=settings, arm=settings_of(bundle))
-    exchanged = []
+    loop, exchanged = loop_of(bundle, script, [keeper]), []
     loop.exchanged = exchanged.append
-    early.loop = swap.loop = loop
     loop.run()
     assert early.until and 2900 < exchanged[0].row <= 5500 and early.answer == swap.answer == ""
     assert exchanged[1].row == 5500
@@ -470,37 +460,38 @@ def test_a_load_is_carried_and_an_expected_one_delays_the_exchange(tmp_path):
 # After a restart.
 
 
-def test_a_new_loop_goes_on_from_what_was_carried(tmp_path):
-    bundle = bundle_of("old")
+@pytest.fixture(scope="module")
+def carried() -> tuple[list[Sample], bytes]:
+    """What a loop leaves that ends in a latched alarm."""
     samples = samples_of(pushed(seconds=5, pushes=((3.0, 0, 12.0),)))
-    first, _, _ = looped(bundle, samples)
-    carried = first.monitor.carried()
-    assert len(first.carried) == len(carried) and first.monitor.last.alarm == _core.Alarm.collision
-    keeper = Keeper()
-    loop = Loop(bundle, ScriptedSource(samples[:2000]), [keeper], settings=LoopSettings(missing_after_s=60.0), arm=ARM)
-    assert loop.start_from(carried, 17) == ""
+    first, _, _ = looped(bundle_of("old"), samples)
+    left = first.monitor.carried()
+    assert len(first.carried) == len(left) and first.monitor.last.alarm == _core.Alarm.collision
+    return samples, left
+
+
+def test_a_new_loop_goes_on_from_what_was_carried(carried):
+    (samples, left), keeper = carried, Keeper()
+    loop = loop_of(bundle_of("old"), samples[:2000], [keeper])
+    assert loop.start_from(left, 17) == ""
     loop.run()
     assert loop.alarms == 17 and all(v.alarm_number == 17 for v in keeper.verdicts)
     assert not [c for c in keeper.changes if isinstance(c, AlarmChange)]
-    fresh = _core.Monitor(bundle)
-    drift = fresh.run(*(np.array([getattr(s, n) for s in samples[:600]]) for n in ("t_ns", "q", "dq", "tau")))["drift"]
+    drift = _core.Monitor(bundle_of("old")).run(*columns_of(samples[:600]))["drift"]
     there = np.concatenate([v.estimates["drift"] for v in keeper.verdicts[:600]])
     assert np.abs(there[599]).max() > 5 * np.abs(drift[599]).max() > 0  # what had been learned
-    assert "damaged" in loop.start_from(b"x" * len(carried), 0)
-    assert Loop(None, ScriptedSource([]), arm=ARM).start_from(carried, 3) == exchange.NO_BUNDLE
+    assert "damaged" in loop.start_from(b"x" * len(left), 0)
+    assert Loop(None, ScriptedSource([]), arm=ARM).start_from(left, 3) == exchange.NO_BUNDLE
 
 
-@pytest.mark.parametrize("is_answered", [True, False])
-def test_an_answered_alarm_that_is_carried_over_ends_once_nothing_touches_the_arm(is_answered):
-    bundle, samples = bundle_of("old"), samples_of(pushed(seconds=5, pushes=((3.0, 0, 12.0),)))
-    first, _, _ = looped(bundle, samples)
-    keeper = Keeper()
-    loop = Loop(bundle, ScriptedSource(samples[:2000]), [keeper], settings=LoopSettings(missing_after_s=60.0), arm=ARM)
-    assert loop.start_from(first.monitor.carried(), 17, is_answered) == ""
+def test_an_answered_alarm_that_is_carried_over_ends_once_nothing_touches_the_arm(carried):
+    (samples, left), keeper = carried, Keeper()
+    loop = loop_of(bundle_of("old"), samples[:2000], [keeper])
+    assert loop.start_from(left, 17, True) == ""
     loop.run()
     healthy = next(v.row for v in keeper.verdicts if v.estimates["health"][0] == OK)
     ended = [c.row for c in keeper.changes if isinstance(c, AlarmChange) and c.acknowledged]
-    assert ended == ([healthy + 50] if is_answered else []) and loop.alarms == 17
+    assert ended == [healthy + 50] and loop.alarms == 17
 
 
 # The ring.
@@ -543,7 +534,7 @@ def test_only_the_answered_alarm_is_settled_if_it_stands():
 
     keeper = Keeper(settle)
     samples = samples_of(pushed(seconds=5, pushes=((2.0, 0, 12.0), (4.0, 1, 12.0))))
-    loop = Loop(bundle_of("b"), ScriptedSource(samples), [keeper], settings=LoopSettings(missing_after_s=60.0))
+    loop = loop_of(bundle_of("b"), samples, [keeper])
     loop.run()
     ended = [c.row for c in keeper.changes if isinstance(c, AlarmChange) and c.acknowledged]
     assert ended == [3001, 4701] and loop.alarms == 2

@@ -144,10 +144,9 @@ def verdict_before(
     return None, new
 
 
-def verdict_after(worth: Worth, clean: Worth) -> tuple[str, float, int]:
-    """harmless or missed; the largest share by which a limit differs; contacts found more or fewer."""
+def verdict_after(worth: Worth, clean: Worth) -> tuple[str, float]:
+    """harmless or missed; the largest share by which a limit differs."""
     ratio = np.array(worth.limits_nm) / np.array(clean.limits_nm) - 1
     off = float(np.abs(ratio).max()) if np.isfinite(ratio).all() else float("inf")
-    more = worth.found - clean.found
-    harmless = off <= TOLERANCE and abs(more) <= TOLERANCE * clean.found
-    return ("harmless" if harmless else "missed"), off, more
+    harmless = off <= TOLERANCE and abs(worth.found - clean.found) <= TOLERANCE * clean.found
+    return ("harmless" if harmless else "missed"), off

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-LET_IN = "let in"
-"""Accepted by `check`; nothing was trained on it yet."""
-VERDICTS = ("refused", "named", "harmless", "missed", LET_IN, "traceback")
+VERDICTS = ("refused", "named", "harmless", "missed", "traceback")
 
 
 def markdown(rows: Sequence[dict], good: Sequence[dict], command: str) -> str:
@@ -64,9 +62,7 @@ def _missed(rows: Sequence[dict]) -> list[str]:
         "| case | largest change of a limit | contacts found | other findings |",
         "|---|---|---|---|",
     ]
-    for row in sorted(
-        (row for row in rows if row["verdict"] in ("missed", LET_IN, "traceback")), key=lambda row: row["id"]
-    ):
+    for row in sorted((row for row in rows if row["verdict"] in ("missed", "traceback")), key=lambda row: row["id"]):
         off = "" if row["limit_off"] is None else f"{row['limit_off']:.0%}"
         found = "" if row["found"] is None else f"{row['found']} of {row['events']} (clean {row['found_clean']})"
         seen = (

@@ -25,6 +25,7 @@ from tauext.train.supported_limits import NOT_MEASURED, factor_after
 
 RATE_HZ = 125.0
 EXACT = PAPER_CASES["exact"]
+AMPERES = {"torque": "amperes: the torque constant is unknown"}
 
 
 def motion(seconds: float = 40.0, seed: int = 0, name: str = "made", still: bool = False, **changes) -> Recording:
@@ -32,10 +33,8 @@ def motion(seconds: float = 40.0, seed: int = 0, name: str = "made", still: bool
     rng = np.random.default_rng(seed)
     t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
     speeds, phases = rng.uniform(0.3, 2.5, (2, 5)), rng.uniform(0, 6, (2, 5))
-    q = np.stack([np.sin(t[:, None] * s + p).sum(axis=1) * 0.5 for s, p in zip(speeds, phases, strict=True)], axis=1)
-    dq = np.stack(
-        [(s * np.cos(t[:, None] * s + p)).sum(axis=1) * 0.5 for s, p in zip(speeds, phases, strict=True)], axis=1
-    )
+    angle = t[:, None, None] * speeds + phases
+    q, dq = np.sin(angle).sum(axis=2) * 0.5, (speeds * np.cos(angle)).sum(axis=2) * 0.5
     if still:
         q, dq = np.zeros_like(q) + [0.3, 0.4], np.zeros_like(dq)
     torque = planar_torque(q, dq) + 3 * np.tanh(dq / 0.03) + 2 * dq + rng.normal(0, 0.1, q.shape)
@@ -191,28 +190,33 @@ def test_limits_of_little_use_are_found():
     assert found() == [("limit-wide", "fault", "shoulder")]  # half of the joints
 
 
-def test_currents_get_their_constants_back_and_the_core_applies_them():
-    constants = np.array([9.0, -0.7])
+def in_amperes(constants: np.ndarray) -> tuple[Recording, Recording]:
+    """A minute of motion, and the same with the drives' currents, of an unknown torque constant."""
     torque = motion(seconds=60.0)
-    current = replace(torque, tau=torque.tau / constants)
+    return torque, replace(torque, tau=torque.tau / constants, provenance=AMPERES)
+
+
+def test_currents_get_their_constants_back_and_the_core_applies_them():
+    constants, links = np.array([9.0, -0.7]), planar_arm().links
+    torque, current = in_amperes(constants)
     found = fit_torque_constants(planar_arm(), [current], ObserverConfig())
+    for link in links:
+        link.rotor_inertia = 0.0
+    without_rotors = fit_torque_constants(_core.Tree(links, planar_arm().gravity), [current], ObserverConfig())
     assert found.determined.all()
     # Noise of 0.1 Nm on torques of tens of Nm; friction is fitted beside them.
-    np.testing.assert_allclose(found.nm_per_unit, constants, rtol=0.01)
+    for one in (found, without_rotors):
+        np.testing.assert_allclose(one.nm_per_unit, constants, rtol=0.01)
     setup = build_setup(planar_arm(), torque, ObserverConfig())
-    scaled = with_constants(setup.observer, found.used)
     arrays = (current.t_ns, current.q, current.dq)
-    r = _core.observe(planar_arm(), scaled, *arrays, current.tau).residual
-    np.testing.assert_array_equal(
-        r, _core.observe(planar_arm(), setup.observer, *arrays, current.tau * found.used).residual
-    )
+    r = _core.observe(planar_arm(), with_constants(setup.observer, found.used), *arrays, current.tau).residual
+    of_torque = _core.observe(planar_arm(), setup.observer, *arrays, current.tau * found.used).residual
+    np.testing.assert_array_equal(r, of_torque)
 
 
 def test_a_bundle_trained_on_currents_takes_them_and_answers_in_newton_metres(tmp_path, monkeypatch):
     constants, settings = np.array([9.0, -0.7]), {"recipe": "friction", "limits": "paper"}
-    amperes = {"torque": "amperes: the torque constant is unknown"}
-    torque = motion(seconds=60.0)
-    current = replace(torque, tau=torque.tau / constants, provenance=amperes)
+    torque, current = in_amperes(constants)
     plain, _ = trained(tmp_path, monkeypatch, [torque], **settings)
     bundle, facts = trained(tmp_path, monkeypatch, [current], **settings)
     assert (plain.torque_units, bundle.torque_units) == (["N m", "N m"], ["A", "A"])
@@ -228,17 +232,6 @@ def test_a_bundle_trained_on_currents_takes_them_and_answers_in_newton_metres(tm
     arrays = (other.t_ns, other.q, other.dq)
     said = _core.Monitor(bundle).run(*arrays, (other.tau + push) / constants)["tau_ext"]
     np.testing.assert_allclose(said[1900, 1], 20.0, atol=2.0)
-
-
-def test_rotors_that_the_model_lacks_do_not_shrink_the_constants():
-    constants = np.array([9.0, 4.0])
-    torque = motion(seconds=60.0)
-    current = replace(torque, tau=torque.tau / constants)
-    links = planar_arm().links
-    for link in links:
-        link.rotor_inertia = 0.0
-    found = fit_torque_constants(_core.Tree(links, planar_arm().gravity), [current], ObserverConfig())
-    np.testing.assert_allclose(found.nm_per_unit, constants, rtol=0.01)  # noise as above
 
 
 def test_a_constant_known_to_a_third_serves_and_is_called_a_guess():
@@ -260,8 +253,7 @@ def test_a_constant_that_friction_drowns_is_reported_as_undetermined():
 
 def test_without_a_model_the_ratios_of_the_constants_are_found():
     constants = np.array([9.0, 4.0])
-    torque = motion(seconds=60.0)
-    current = replace(torque, tau=torque.tau / constants)
+    _, current = in_amperes(constants)
     found = fit_torque_constants(no_model(planar_arm()), [current], ObserverConfig())
     reference = found.relative_to
     assert found.determined.all() and found.used[reference] == 1
@@ -304,7 +296,7 @@ def test_joints_that_share_no_column_are_solved_apart_with_the_result_of_one_den
 
 def test_currents_of_unknown_constants_are_found_by_their_recordings():
     made = motion(seconds=40.0)
-    amperes = replace(made, provenance={"torque": "amperes: the torque constant is unknown"})
+    amperes = replace(made, provenance=AMPERES)
     none, auto = PAPER_CASES["none"], TrainConfig()
     assert wants_constants(auto, [amperes], EXACT) and wants_constants(auto, [amperes], none)
     assert not wants_constants(auto, [made], EXACT)

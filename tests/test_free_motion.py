@@ -8,7 +8,6 @@ from sliding_mass import recording
 
 from tauext.config import FreeMotionConfig
 from tauext.data.free_motion import first_seconds, free_pieces, free_samples, split_by_time, standing_joints, total_s
-from tauext.data.recording import Recording
 
 
 def touched(*spans: tuple[int, int], samples: int = 6000):
@@ -61,35 +60,16 @@ def test_a_standing_joint_is_found_by_its_position_not_by_a_noisy_speed():
     assert standing_joints([noisy]).all() and not standing_joints([noisy, moving]).any()
 
 
-def made(name: str, seconds: float, rate_hz: float = 100.0, **changes) -> Recording:
-    samples = round(seconds * rate_hz)
-    signal = np.arange(2.0 * samples).reshape(samples, 2)
-    return Recording(
-        name=name,
-        joints=("a", "b"),
-        t_ns=5_000_000_000 + np.arange(samples) * round(1e9 / rate_hz),
-        q=signal,
-        dq=signal,
-        tau=signal,
-        contact=np.zeros(samples, dtype=np.int8),
-        rate_hz=rate_hz,
-        torque_timing="held",
-        source="test",
-        robot_sha256="",
-        **changes,
-    )
-
-
-THREE = [made("one", 9.0), made("two", 9.0), made("three", 9.0)]
+THREE = [recording(name, 900, contact=np.zeros(900, dtype=np.int8)) for name in ("one", "two", "three")]
 
 
 @pytest.mark.parametrize(
-    "seconds, samples", [(4.0, [400]), (9.0, [900]), (18.0, [900, 900]), (20.5, [900, 900, 250]), (99.0, [900] * 3)]
+    "seconds, samples", [(0.4, [400]), (0.9, [900]), (1.8, [900, 900]), (2.05, [900, 900, 250]), (9.9, [900] * 3)]
 )
 def test_whole_recordings_come_first_and_the_last_one_is_cut(seconds, samples):
     taken = first_seconds(THREE, seconds)
-    assert [recording.samples for recording in taken] == samples
-    assert total_s(taken) == pytest.approx(min(seconds, 27.0), abs=1e-9)
+    assert [part.samples for part in taken] == samples
+    assert total_s(taken) == pytest.approx(min(seconds, 2.7), abs=1e-9)
     for whole, part in zip(THREE, taken, strict=False):
         for signal in ("t_ns", "q", "dq", "tau", "contact"):
             np.testing.assert_array_equal(getattr(part, signal), getattr(whole, signal)[: part.samples])
@@ -97,6 +77,6 @@ def test_whole_recordings_come_first_and_the_last_one_is_cut(seconds, samples):
 
 
 def test_a_gap_counts_as_time():
-    with_gap = replace(THREE[0], t_ns=THREE[0].t_ns + np.where(np.arange(900) >= 300, 2_000_000_000, 0))
-    (part,) = first_seconds([with_gap], 4.0)
-    assert part.samples == 300  # 3 s of samples, then nothing until 5 s
+    with_gap = replace(THREE[0], t_ns=THREE[0].t_ns + np.where(np.arange(900) >= 300, 200_000_000, 0))
+    (part,) = first_seconds([with_gap], 0.4)
+    assert part.samples == 300  # 0.3 s of samples, then nothing until 0.5 s

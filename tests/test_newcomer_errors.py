@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from made_arms import six_axis, six_axis_tree, urdf
@@ -96,19 +97,26 @@ def test_the_help_begins_with_usage_and_commands(capsys):
 
 
 def test_a_current_is_in_amperes_and_warnings_are_counted_as_they_are_shown(capsys, tmp_path):
-    drive = Drive(nm_per_a=(12.0, 9.0, 9.0, 4.5, 4.5, 4.5))
-    (recording,) = made_motion(six_axis_tree(tmp_path), 1, rate_hz=100.0, pieces=1, drive=drive).recordings
-    recording = replace(recording, name="run", provenance={"torque": AMPERES})
-    save_recording(recording, tmp_path / "run.parquet")
-    main(["check", "--data", str(tmp_path / "run.parquet")])
+    path = saved_motion(tmp_path, nm_per_a=(12.0, 9.0, 9.0, 4.5, 4.5, 4.5), torque=AMPERES)
+    main(["check", "--data", path])
     text = capsys.readouterr().out
     head = next(line for line in text.splitlines() if line.startswith("joint "))
     assert "torque A" in head and "unexplained A" in head and "Nm" not in head
     for severity in ("fault", "warning", "note"):
         shown = sum(line.startswith(f"{severity}: ") for line in text.splitlines())
         assert f"{shown} {severity}{'s' * (shown != 1)}" in text.splitlines()[-1]
-    assert main(["show", str(tmp_path / "run.parquet")]) == 0
+    assert main(["show", path]) == 0
     assert "largest tau [A]" in capsys.readouterr().out
+
+
+def saved_motion(folder: Path, nm_per_a: tuple = (), torque: str = "") -> str:
+    """A minute of the six-axis arm, with its robot file; in amperes where the drives' constants are given."""
+    drive = Drive(nm_per_a=nm_per_a) if nm_per_a else Drive()
+    (recording,) = made_motion(six_axis_tree(folder), 1, rate_hz=100.0, pieces=1, drive=drive).recordings
+    provenance = {"torque": torque} if torque else recording.provenance
+    save_recording(replace(recording, name="run", provenance=provenance), folder / "run.parquet")
+    (folder / "robot.urdf").write_text(urdf(six_axis()))
+    return str(folder / "run.parquet")
 
 
 @pytest.mark.parametrize(
@@ -119,21 +127,15 @@ def test_a_current_is_in_amperes_and_warnings_are_counted_as_they_are_shown(caps
     ],
 )
 def test_the_remedy_of_a_scale_depends_on_who_knows_the_torque_constant(capsys, tmp_path, torque, remedy):
-    (tmp_path / "robot.urdf").write_text(urdf(six_axis()))
-    (recording,) = made_motion(
-        six_axis_tree(tmp_path), 1, rate_hz=100.0, pieces=1, drive=Drive(nm_per_a=(12.0,) * 6)
-    ).recordings
-    save_recording(replace(recording, name="run", provenance={"torque": torque}), tmp_path / "run.parquet")
-    main(["check", "--data", str(tmp_path / "run.parquet"), "--robot", str(tmp_path / "robot.urdf")])
+    path = saved_motion(tmp_path, nm_per_a=(12.0,) * 6, torque=torque)
+    main(["check", "--data", path, "--robot", str(tmp_path / "robot.urdf")])
     text = capsys.readouterr().out
     assert "warning: effort-scale (" in text and remedy in text
 
 
 def test_training_prints_its_phases(capsys, tmp_path):
-    (recording,) = made_motion(six_axis_tree(tmp_path), 1, rate_hz=100.0, pieces=1).recordings
-    save_recording(replace(recording, name="run"), tmp_path / "run.parquet")
+    saved_motion(tmp_path)
     save_split(Split(("run.parquet",), (), ()), tmp_path)
-    (tmp_path / "robot.urdf").write_text(urdf(six_axis()))
     main(["train", "--data", str(tmp_path), "--recipe", "friction", "--out", str(tmp_path / "a.tauext")])
     err = capsys.readouterr().err
     phases = ("checking the data", "observing the motion", "fitting friction and model", "finding the limits")

@@ -47,6 +47,16 @@ class Heard:
         yield lambda done, of, note: self.steps.append((done, of, note))
 
 
+def trained_on(
+    out: Path, config: TrainConfig, *training: Recording, validation=(), **more
+) -> tuple[_core.Bundle, dict]:
+    """The bundle of these recordings, and its facts."""
+    given = TrainingInput(Path(), EXACT, list(training), list(validation), model=planar_arm())
+    train_on_recordings(given, config, out, **more)
+    bundle = _core.Bundle.load(str(out))
+    return bundle, json.loads(bundle.provenance)
+
+
 @pytest.fixture
 def unlimited(monkeypatch):
     """No robot file: what the drives can give is unknown."""
@@ -65,15 +75,7 @@ def viscous(monkeypatch):
 def test_a_regression_baseline_is_one_row_and_one_fit_function(tmp_path, viscous, unlimited, capsys):
     out, heard = tmp_path / "viscous.tauext", Heard()
     config = TrainConfig(recipe="viscous")
-    train_on_recordings(
-        TrainingInput(Path(), EXACT, [motion(60.0)], [motion(20.0, seed=1)], model=planar_arm()),
-        config,
-        out,
-        report=heard,
-    )
-
-    bundle = _core.Bundle.load(str(out))
-    facts = json.loads(bundle.provenance)
+    bundle, facts = trained_on(out, config, motion(60.0), validation=[motion(20.0, seed=1)], report=heard)
     assert facts["recipe"] == "viscous" and facts["prior"]["friction"]["elbow"]["viscous_nm_s_rad"] > 2.0
     assert [term.kind.name for term in bundle.prior.terms] == ["constant", "viscous"] * 2 and not bundle.has_network
     assert heard.sentences[-1].startswith("viscous: took ")
@@ -97,10 +99,13 @@ def test_what_an_added_recipe_does_not_use_follows_from_its_row(viscous):
     assert kept == training_settings(EXACT, TrainConfig(recipe="friction"))["config"] | {"recipe": "viscous"}
 
 
-def test_the_help_offers_the_rows_of_tauext_and_of_packages(viscous):
+def test_the_help_offers_the_rows_of_tauext_and_of_packages_with_their_summaries(viscous):
     words = field_help(TrainConfig)["recipe"]
     assert get_args(hints_of(TrainConfig)["recipe"]) == (*RECIPES, "viscous")
     assert "viscous: constant and viscous friction of each joint, fitted." in words
+    for recipe in RECIPES.values():
+        assert recipe.summary.strip() and not recipe.summary.endswith("."), recipe.name
+        assert f"{recipe.name}: {recipe.summary}" in words
 
 
 def test_what_a_row_names_exists():
@@ -111,13 +116,6 @@ def test_what_a_row_names_exists():
         assert all(hasattr(TrainConfig, name) for name in (*recipe.unused, *recipe.defaults) if name not in FACTORIES)
     named = [recipe.baseline for recipe in RECIPES.values() if recipe.baseline]
     assert len(set(named)) == len(named)
-
-
-def test_every_row_has_a_summary_and_the_help_prints_it():
-    words = field_help(TrainConfig)["recipe"]
-    for recipe in RECIPES.values():
-        assert recipe.summary.strip() and not recipe.summary.endswith("."), recipe.name
-        assert f"{recipe.name}: {recipe.summary}" in words
 
 
 FACTORIES = {"prior", "drift", "filters"}
@@ -138,7 +136,7 @@ def test_training_tells_its_reporter_how_far_it_is_and_prints_nothing(tmp_path, 
     heard = Heard()
     config = TrainConfig(recipe="dense", max_steps=20, batch=4, hidden=2, targets=20, seed=1)
     out = tmp_path / "small.tauext"
-    train_on_recordings(TrainingInput(Path(), EXACT, [motion(40.0)], [], model=planar_arm()), config, out, report=heard)
+    trained_on(out, config, motion(40.0), report=heard)
     assert heard.titles == ["train small"] and heard.steps[-1][:2] == (20, 20)
     assert any("validate, " in sentence for sentence in heard.sentences)
     assert capsys.readouterr() == ("", "")
@@ -158,27 +156,20 @@ def with_gaps(recording: Recording, every_s: float) -> Recording:
 def test_a_bundle_that_rejects_its_own_training_motion_is_warned_of(tmp_path, unlimited):
     gaps = with_gaps(motion(60.0), 10.0)
     heard, out, config = Heard(), tmp_path / "arm.tauext", TrainConfig(recipe="observer")
-    train_on_recordings(
-        TrainingInput(Path(), EXACT, [gaps, motion(20.0, seed=1, name="even")], [], model=planar_arm()),
-        config,
-        out,
-        report=heard,
-    )
+    _, facts = trained_on(out, config, gaps, motion(20.0, seed=1, name="even"), report=heard)
     warned = [said for said in heard.sentences if "rejects" in said]
     assert len(warned) == 1 and f"of '{gaps.name}'" in warned[0] and "without losing samples" in warned[0]
-    facts = json.loads(_core.Bundle.load(str(out)).provenance)["rejected"]
+    facts = facts["rejected"]
     # Five gaps behind the first healthy sample, 10/K0 = 0.5 s each, in 79 s.
     assert list(facts["causes"]) == ["gap"] and facts["share"] == pytest.approx(2.5 / 79, abs=0.005)
 
 
 def test_a_bundle_that_rejects_a_fifth_of_its_training_motion_is_refused_unless_accepted(tmp_path, unlimited):
     gaps, out, config = with_gaps(motion(40.0), 1.5), tmp_path / "arm.tauext", TrainConfig(recipe="observer")
-    work = (TrainingInput(Path(), EXACT, [gaps], [], model=planar_arm()), config, out)
     with pytest.raises(TrainingError, match=r"rejects 3\d\.\d% of its own training motion \(gap.*--accept rejected"):
-        train_on_recordings(*work)
+        trained_on(out, config, gaps)
     assert not out.exists()
-    train_on_recordings(*work, accept=("rejected",))
-    assert json.loads(_core.Bundle.load(str(out)).provenance)["rejected"]["share"] > 0.3
+    assert trained_on(out, config, gaps, accept=("rejected",))[1]["rejected"]["share"] > 0.3
 
 
 def stretched(recording: Recording, percent: int) -> Recording:
@@ -191,15 +182,11 @@ def test_a_monitor_takes_the_rates_of_its_training_and_no_others(tmp_path, unlim
     """The mean of an exponential second ends at 1.08."""
     out, config = tmp_path / "arm.tauext", TrainConfig(recipe="observer")
     even, slow = motion(40.0, seed=1, name="even"), stretched(motion(40.0), 8)
-    train_on_recordings(TrainingInput(Path(), EXACT, [even, slow], [], model=planar_arm()), config, out)
-    bundle = _core.Bundle.load(str(out))
+    bundle, _ = trained_on(out, config, even, slow)
     assert bundle.rate_tolerance == pytest.approx(0.08, abs=1e-4)
     for recording, cause in ((slow, False), (stretched(motion(40.0), 10), True)):
         causes = _core.estimate(bundle, *recording.signals, 1)["causes"]
         assert ("wrong rate" in _core.cause_names(int(np.bitwise_or.reduce(causes)))) is cause
-    train_on_recordings(TrainingInput(Path(), EXACT, [even], [], model=planar_arm()), config, out)
-    assert _core.Bundle.load(str(out)).rate_tolerance == _core.RATE_TOLERANCE_RANGE[0] == 0.05
+    assert trained_on(out, config, even)[0].rate_tolerance == _core.RATE_TOLERANCE_RANGE[0] == 0.05
     with pytest.raises(TrainingError, match="made.*differs by more than 15% from the sample period, 8 ms"):
-        train_on_recordings(
-            TrainingInput(Path(), EXACT, [even, stretched(motion(40.0), 18)], [], model=planar_arm()), config, out
-        )
+        trained_on(out, config, even, stretched(motion(40.0), 18))

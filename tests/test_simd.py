@@ -67,24 +67,17 @@ def test_unset_or_empty_it_is_the_widest_of_this_processor():
     assert ended.stdout.strip() == usable()[-1]
 
 
-LOAD = "import sys; from tauext import _core; _core.Bundle.load(sys.argv[1])"
-READ = "import sys; from tauext import _core; _core.Bundle.from_bytes(open(sys.argv[1], 'rb').read())"
-FIT = "import numpy as np; from tauext import _core; _core.lstm_activations(np.zeros(4, np.float32))"
+BUNDLE = f"_core.Bundle.load({str(GOLDEN / 'format-1-prior.tauext')!r})"
+BYTES = f"_core.Bundle.from_bytes(open({str(GOLDEN / 'format-1-prior.tauext')!r}, 'rb').read())"
+NETWORK = "_core.lstm_activations(np.zeros(4, np.float32))"
+COMMAND = "import sys; from tauext.cli import main; sys.exit(main(['train', '--data', '.', '--out', 'b.tauext']))"
 
 
-@pytest.mark.parametrize("code", [LOAD, READ, FIT], ids=["load", "from bytes", "network"])
+@pytest.mark.parametrize("code", [BUNDLE, BYTES, NETWORK, COMMAND], ids=["load", "from bytes", "network", "command"])
 def test_an_unknown_one_is_refused_wherever_a_bundle_or_a_network_begins(code):
-    ended = python(code, "avx9", GOLDEN / "format-1-prior.tauext")
-    assert ended.returncode == 1
-    last = ended.stderr.splitlines()[-1]
-    assert last.startswith("tauext._core.CoreError") and "TAUEXT_SIMD = avx9 must be one of" in last
-    assert _core.simd_in_use() in last  # the choices
-
-
-def test_the_command_refuses_it_in_one_line_before_any_work(tmp_path):
-    words = [sys.executable, "-m", "tauext", "train", "--data", str(tmp_path), "--out", str(tmp_path / "b.tauext")]
-    environment = os.environ | {"TAUEXT_SIMD": "AVX2"}
-    ended = subprocess.run(words, env=environment, capture_output=True, text=True, check=False)
-    assert ended.returncode == 2 and not ended.stdout
-    (line,) = ended.stderr.splitlines()
-    assert line.startswith("tauext: error: TAUEXT_SIMD = AVX2 must be one of the instruction sets of this processor")
+    ended = python(code if code is COMMAND else f"import numpy as np; from tauext import _core; {code}", "AVX2")
+    assert ended.returncode == (2 if code is COMMAND else 1) and not ended.stdout
+    *before, last = ended.stderr.splitlines()
+    assert last.startswith("tauext: error: " if code is COMMAND else "tauext._core.CoreError: ")
+    assert "TAUEXT_SIMD = AVX2 must be one of the instruction sets of this processor" in last
+    assert _core.simd_in_use() in last and not (code is COMMAND and before)  # the choices

@@ -210,13 +210,7 @@ def test_what_a_touch_adds_to_the_friction_of_moving_joints_is_taken_off_where_a
     made.prior = prior
     model = _core.WrenchModel(made)
     true = torque(model, "joint7", POSE, np.r_[20.0, -25.0, 30.0, 1.0, 0.5, -1.0])
-    pin = oracle.pin
-    arm = oracle.read_model(SEVEN_AXIS.read_text())
-    at = np.array(POSE)
-    order = [arm.joints[arm.getJointId(link.joint_name)].idx_v for link in made.links]
-    seen = np.empty(7)
-    seen[order] = at
-    weight = pin.computeGeneralizedGravity(arm, arm.createData(), seen)[order]
+    weight = _core.Tree(made.links, made.gravity).momentum(np.array([POSE]), np.zeros((1, 7)))[1][0]
     rubs = shares * np.sign(moving) * (np.abs(weight - true) - np.abs(weight))
     rows = (np.array([POSE]), (true - rubs)[None], SIGMA[None], None, BASE, None)
     before, after, standing = (

@@ -393,10 +393,10 @@ def unhealthy(path: Path, training: Sequence[Recording]) -> str:
     return ""
 
 
-def endings(small: Small, folder: Path, recipes: Sequence[str]) -> Iterator[Ending]:
-    """Train a dataset by these recipes, with what the doctor minds accepted, and use what comes of it."""
+def endings(small: Small, folder: Path) -> Iterator[Ending]:
+    """Train a dataset by its recipes, with what the doctor minds accepted, and use what comes of it."""
     data = small.write(folder / "data")
-    for recipe in recipes:
+    for recipe in small.recipes:
         out = folder / f"{recipe}.tauext"
         yield (first := ended(small, recipe, lambda out=out, recipe=recipe: train(small, data, out, recipe)))
         if first.message.startswith("the doctor"):
@@ -452,8 +452,7 @@ def uses(small: Small, data: Path, bundle: Path) -> Iterator[Ending]:
     yield ended(small, f"{recipe}, load --known-kg", lambda: weighed(1.0))
 
 
-def of_number(number: int, recipes: Sequence[str] = ()) -> list[Ending]:
-    """All endings of one dataset, by these recipes or its own three, in a folder of its own."""
-    small = Small(number)
+def of_number(number: int) -> list[Ending]:
+    """All endings of one dataset, in a folder of its own."""
     with tempfile.TemporaryDirectory() as folder:
-        return list(endings(small, Path(folder), recipes or small.recipes))
+        return list(endings(Small(number), Path(folder)))

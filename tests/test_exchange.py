@@ -123,9 +123,6 @@ def assert_same(verdicts: Sequence, estimates: dict[str, np.ndarray]) -> None:
         np.testing.assert_array_equal(found, values, err_msg=name)
 
 
-# The answers.
-
-
 def still(samples: list[Sample], begin: int, end: int) -> list[Sample]:
     """These samples, the arm at rest between two rows."""
     rest = samples[begin].q
@@ -341,9 +338,6 @@ def test_an_alarm_keeps_its_places_and_drift_is_reported_anew():
     assert used == ["old", "old", "old", "new", "new"]
 
 
-# What has no bundle yet, or another.
-
-
 def test_before_any_bundle_nothing_is_monitored_and_the_first_one_takes_over(tmp_path):
     class Following(Keeper):
         def __init__(self):
@@ -419,9 +413,6 @@ def test_a_bundle_of_another_arm_is_refused(tmp_path):
         assert why in why_not_exchange(bundle_of("old"), replace(ARM, **change))
 
 
-# A load meanwhile.
-
-
 @pytest.mark.slow
 def test_a_load_is_carried_and_an_expected_one_delays_the_exchange(tmp_path):
     bundle, picks = knowing_bundle(six_axis_tree(tmp_path))
@@ -455,9 +446,6 @@ def test_a_load_is_carried_and_an_expected_one_delays_the_exchange(tmp_path):
     successor = exchange.Successor(new, loop._ring, False, None, QUIET_S)
     successor.row = loop._ring.count
     assert successor.finish(loop.monitor) == "a load is expected or being weighed"
-
-
-# After a restart.
 
 
 @pytest.fixture(scope="module")
@@ -494,9 +482,6 @@ def test_an_answered_alarm_that_is_carried_over_ends_once_nothing_touches_the_ar
     assert ended == [healthy + 50] and loop.alarms == 17
 
 
-# The ring.
-
-
 def test_a_ring_keeps_the_last_minute_and_no_long_silence():
     ring = Ring(1, 100_000_000)  # 10 Hz: 600 rows and a second
     one = np.ones(1)
@@ -516,9 +501,6 @@ def test_a_ring_keeps_the_last_minute_and_no_long_silence():
         ring.miss(700 + k)
     assert ring.count == 700 + exchange.SILENT_ROWS and not ring.since(700, 100).came.any()
     assert Ring(1, 1_000_000).start(0) == (0, b"")
-
-
-# Answers.
 
 
 def test_only_the_answered_alarm_is_settled_if_it_stands():

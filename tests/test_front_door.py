@@ -40,9 +40,6 @@ def test_every_name_is_there_and_documented(name):
     assert name in dir(tauext)
 
 
-# What no function takes.
-
-
 ODD = {
     "None": None,
     "dict": {},

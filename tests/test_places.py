@@ -215,9 +215,6 @@ def test_surface_points_lie_on_the_surface_and_share_its_area():
     np.testing.assert_allclose(np.diag(out.T @ (sphere["share"][:, None] * out)), 1 / 3, atol=0.02)
 
 
-# --- Guessed shapes.
-
-
 ACROSS_GUESS = 0.5
 
 

@@ -33,9 +33,6 @@ NOISE_NM = 0.5
 FILTERED_NOISE_NM = NOISE_NM * np.sqrt((1 - np.exp(-GAIN / RATE_HZ)) / (1 + np.exp(-GAIN / RATE_HZ)))
 
 
-# --- a slow twin of everything that stands before the weights
-
-
 def twin_filter(v: np.ndarray, momentum: np.ndarray, t_ns: np.ndarray, restarts=()) -> np.ndarray:
     """The observer's recurrence of docs/method/theory.md: d = dP/dt + mean over the step of v."""
     out = np.zeros_like(v)
@@ -112,8 +109,14 @@ def three_joint_arm() -> _core.Tree:
     return _core.Tree([*links, third], [0, -9.81, 0])
 
 
-def formulas(q: np.ndarray, dq: np.ndarray, beta: np.ndarray, z: list[np.ndarray]) -> dict[str, tuple]:
-    """Every kind and form: the term, what it says of each sample, and whether it acts as momentum."""
+def formulas(
+    q: np.ndarray, dq: np.ndarray, beta: np.ndarray, heavy: np.ndarray, z: list[np.ndarray]
+) -> dict[str, tuple]:
+    """Every kind and form: the term, what it says of each sample, and whether it acts as momentum.
+
+    Args:
+        heavy: beta of the corrected model.
+    """
     s, c = np.sin(q).T, np.cos(q).T
     v = dq.T
     of = {
@@ -139,6 +142,18 @@ def formulas(q: np.ndarray, dq: np.ndarray, beta: np.ndarray, z: list[np.ndarray
         "quadratic cos": (_core.Term(Kind.quadratic, 1, 1, 0, form=1), v[1] ** 2 * c[0]),
         "local_memory": (_core.Term(Kind.local_memory, 2), twin_memory_gap(q, WIDTHS, BRANCH, restarts=(400,))[:, 2]),
         "backlash": (_core.Term(Kind.backlash, 1, b=1), beta[:, 1] * (1 - np.abs(z[1][:, 1]))),
+        "load corrected": (
+            _core.Term(Kind.load, 1, speed=0.2, form=BY_CORRECTED),
+            np.abs(heavy[:, 1]) * np.tanh(v[1] / 0.2),
+        ),
+        "load_presliding corrected": (
+            _core.Term(Kind.load_presliding, 1, b=1, form=BY_CORRECTED),
+            np.abs(heavy[:, 1]) * z[1][:, 1],
+        ),
+        "backlash corrected": (
+            _core.Term(Kind.backlash, 1, b=1, form=BY_CORRECTED),
+            heavy[:, 1] * (1 - np.abs(z[1][:, 1])),
+        ),
         "momentum": (_core.Term(Kind.momentum, 2, 0, form=0), v[2]),
         "momentum cos": (_core.Term(Kind.momentum, 2, 0, form=1), v[2] * c[0]),
         "momentum sin": (_core.Term(Kind.momentum, 2, 0, form=2), v[2] * s[0]),
@@ -146,7 +161,7 @@ def formulas(q: np.ndarray, dq: np.ndarray, beta: np.ndarray, z: list[np.ndarray
     return {name: (term, values, term.kind == Kind.momentum) for name, (term, values) in of.items()}
 
 
-EVERY_FORM = list(formulas(np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 3)), [np.zeros((1, 3))] * 2))
+EVERY_FORM = list(formulas(*[np.zeros((1, 3))] * 4, [np.zeros((1, 3))] * 2))
 
 
 def test_regressors_of_links_are_the_differences_of_r_and_may_come_in_parts():
@@ -176,32 +191,6 @@ def test_regressors_of_links_are_the_differences_of_r_and_may_come_in_parts():
         _core.LinkRegressors(tree, observer, [0], [0]).rows(t_ns, q, dq, np.array([len(q)]))
 
 
-def test_a_load_may_be_that_of_the_corrected_model():
-    t_ns, q, dq, tau = wild_motion()
-    tree, observer = three_joint_arm(), settings()
-    corrected = with_links(tree, mass=(3.0, 2.0, 4.0))
-    _, beta = corrected.momentum(q, dq)
-    z = [twin_presliding(q, width, restarts=(400,)) for width in WIDTHS]
-    for kind, at, values in (
-        (Kind.load, {"speed": 0.2}, np.abs(beta[:, 1]) * np.tanh(dq[:, 1] / 0.2)),
-        (Kind.load_presliding, {"b": 1}, np.abs(beta[:, 1]) * z[1][:, 1]),
-        (Kind.backlash, {"b": 1}, beta[:, 1] * (1 - np.abs(z[1][:, 1]))),
-    ):
-        prior = prior_of([_core.Term(kind, 1, form=BY_CORRECTED, **at)], [[2.0], [0.0], [-3.0]], WIDTHS)
-        prior.corrected_links = corrected.links
-        alone = prior_of([], np.zeros((3, 0)), WIDTHS)
-        alone.corrected_links = corrected.links
-        said, without = (_core.observe(tree, observer, t_ns, q, dq, tau, one).prior for one in (prior, alone))
-        expected = twin_filter(values, np.zeros_like(values), t_ns, (400,))
-        tolerance = 1e-10 * (1 + np.abs(values).max() + np.abs(without).max())
-        np.testing.assert_allclose(said - without, np.outer(expected, [2.0, 0.0, -3.0]), rtol=0, atol=tolerance)
-        regressors = _core.prior_regressors(tree, observer, prior, t_ns, q, dq, tau, np.arange(len(q), dtype=np.int64))
-        np.testing.assert_allclose(regressors[:, 0], expected, rtol=0, atol=tolerance)
-        prior.corrected_links = []
-        with pytest.raises(_core.CoreError, match="prior term 0: it asks for the load by the corrected model"):
-            _core.observe(tree, observer, t_ns, q, dq, tau, prior)
-
-
 def test_every_kind_of_term_has_a_formula_here():
     kinds = {name.split()[0] for name in EVERY_FORM}
     assert kinds == {kind.name for kind in Kind}
@@ -211,24 +200,29 @@ def test_every_kind_of_term_has_a_formula_here():
 def test_a_term_is_its_formula_through_the_observers_recurrence(name):
     t_ns, q, dq, tau = wild_motion()
     tree, observer = three_joint_arm(), settings()
-    _, beta = tree.momentum(q, dq)
+    corrected = with_links(tree, mass=(3.0, 2.0, 4.0))
+    betas = [arm.momentum(q, dq)[1] for arm in (tree, corrected)]
     z = [twin_presliding(q, width, restarts=(400,)) for width in WIDTHS]
-    term, values, as_momentum = formulas(q, dq, beta, z)[name]
+    term, values, as_momentum = formulas(q, dq, *betas, z)[name]
     nothing = np.zeros_like(values)
     expected = twin_filter(nothing if as_momentum else values, values if as_momentum else nothing, t_ns, (400,))
-    prior = prior_of([term], [[2.0], [0.0], [-3.0]], WIDTHS)
+    prior, without = prior_of([term], [[2.0], [0.0], [-3.0]], WIDTHS), np.zeros_like(q)
     prior.branches = 3 * list(BRANCH)
+    if name.endswith("corrected"):
+        with pytest.raises(_core.CoreError, match="prior term 0: it asks for the load by the corrected model"):
+            _core.observe(tree, observer, t_ns, q, dq, tau, prior)
+        alone = prior_of([], np.zeros((3, 0)), WIDTHS)
+        prior.corrected_links = alone.corrected_links = corrected.links
+        without = _core.observe(tree, observer, t_ns, q, dq, tau, alone).prior
     observation = _core.observe(tree, observer, t_ns, q, dq, tau, prior)
     assert observation.restarts == 1 and observation.held_rows == 8
     assert np.abs(expected).max() > 1e-2
     # Rounding of a momentum divided by steps of 0.6 ms at least; beta of up to 100 Nm; sin(37 q).
-    tolerance = 1e-10 * (1 + np.abs(values).max())
-    np.testing.assert_allclose(observation.prior, np.outer(expected, [2.0, 0.0, -3.0]), rtol=0, atol=tolerance)
+    tolerance = 1e-10 * (1 + np.abs(values).max() + np.abs(without).max())
+    by_term = observation.prior - without
+    np.testing.assert_allclose(by_term, np.outer(expected, [2.0, 0.0, -3.0]), rtol=0, atol=tolerance)
     regressors = _core.prior_regressors(tree, observer, prior, t_ns, q, dq, tau, np.arange(len(q), dtype=np.int64))
     np.testing.assert_allclose(regressors[:, 0], expected, rtol=0, atol=tolerance)
-
-
-# --- recordings of known friction
 
 
 def motion(seed: int, seconds: float, rate_hz: float = RATE_HZ) -> tuple[np.ndarray, np.ndarray]:
@@ -433,17 +427,6 @@ def test_the_filtered_basis_without_a_model_holds_the_planar_arm_exactly():
     assert fit.ridge == 1e-7 and (fit.error_nm < 1e-3 * largest).all()
 
 
-# --- ripple
-
-
-def test_threads_change_no_bit_of_a_fit_with_its_search_for_ripple():
-    made = recordings(rippling((24, 1.0)), count=2)
-    one, four = (fit_prior(replace(setup_of(planar_arm()), threads=n), made, SEARCHED) for n in (1, 4))
-    assert ripples_of(one) == ripples_of(four) == [(1, 24)]
-    np.testing.assert_array_equal(one.weights, four.weights)
-    np.testing.assert_array_equal(one.standard_errors, four.standard_errors)
-
-
 def ripples_of(fit: PriorFit) -> list[tuple[int, int]]:
     """(joint, cycles) that the fit holds."""
     return sorted({(t.a, t.b) for t in fit.settings.terms if t.kind == Kind.ripple})
@@ -478,9 +461,6 @@ def test_two_ripples_of_a_joint_are_found_one_after_the_other_and_no_more_than_a
 )
 def test_no_ripple_is_found_where_there_is_none_or_too_little_motion(made):
     assert ripples_of(fit_prior(setup_of(planar_arm()), made(), SEARCHED)) == []
-
-
-# --- the ridge, and data that are too few
 
 
 def test_noise_and_short_recordings_ask_for_a_stronger_ridge():
@@ -528,23 +508,22 @@ def test_a_joint_that_never_moves_gets_no_friction_and_says_so():
     assert abs(fit.weights[0, where(fit, 0, "viscous")] - FRICTION["viscous"][0]) < 0.1
 
 
-@pytest.mark.parametrize("ripples", [0, pytest.param(2, marks=pytest.mark.slow)])
-def test_the_same_recordings_give_the_same_bytes(ripples):
-    """With corrected links; test_threads_change_no_bit has a search for ripple."""
-    wrong, config = perturbed(planar_arm(), mass_factor=0.5), PriorConfig(WIDTHS, most_ripples=ripples)
-    one, other = (fit_prior(setup_of(wrong), recordings(rippling((37, 1.2)), count=2), config) for _ in "ab")
-    assert one.settings.corrected_links and one.corrections.size
-    assert [(t.kind, t.a, t.b, t.c, t.form, t.speed) for t in one.settings.terms] == [
-        (t.kind, t.a, t.b, t.c, t.form, t.speed) for t in other.settings.terms
-    ]
+@pytest.mark.parametrize(
+    "config", [PriorConfig(WIDTHS, most_ripples=0), SEARCHED, pytest.param(PriorConfig(WIDTHS), marks=pytest.mark.slow)]
+)
+def test_the_same_recordings_give_the_same_bytes_on_any_number_of_threads(config):
+    made, factor = recordings(rippling((37, 1.2)), count=2), 0.5 if config.correct_model else 1.0
+    setup = setup_of(perturbed(planar_arm(), mass_factor=factor))
+    one, other = (fit_prior(replace(setup, threads=n), made, config) for n in (1, 4))
+    assert config is not SEARCHED or ripples_of(one) == [(1, 37)]
+    assert bool(one.settings.corrected_links) == config.correct_model == bool(one.corrections.size)
+    of_both = [[(t.kind, t.a, t.b, t.c, t.form, t.speed) for t in fit.settings.terms] for fit in (one, other)]
+    assert of_both[0] == of_both[1]
     for name in ("error_nm", "weights", "standard_errors", "determined", "corrections", "correction_errors"):
         assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
     assert one.settings.weights == other.settings.weights and one.ridge == other.ridge
     for a, b in zip(one.settings.corrected_links, other.settings.corrected_links, strict=True):
         assert (a.mass, a.com, a.inertia, a.rotor_inertia) == (b.mass, b.com, b.inertia, b.rotor_inertia)
-
-
-# --- what a fit returns can be run
 
 
 def with_links(tree: _core.Tree, **changes: tuple) -> _core.Tree:
@@ -608,16 +587,10 @@ def test_the_terms_of_an_arm_of_any_size_fit_it():
             assert len(different) == len(terms)
 
 
-# --- settings
-
-
 def test_no_presliding_widths_are_a_prior_without_presliding_states():
     config = PriorConfig((), coulomb_speeds_rad_s=(0.05,), most_ripples=0, correct_model=False)
     fit = fit_prior(setup_of(planar_arm(), ()), recordings(unloaded, count=2), config)
     assert {t.kind for t in fit.settings.terms} == {Kind.constant, Kind.viscous, Kind.coulomb, Kind.load}
-
-
-# --- memory of presliding friction
 
 
 def trembling(seed: int, seconds: float) -> tuple[np.ndarray, np.ndarray]:
@@ -654,9 +627,6 @@ def test_free_motion_shows_which_friction_has_local_memory(local):
         assert fit.error_nm[j] < (0.6 if share else 1.01) * bank.error_nm[j]
 
 
-# --- widths that do not help
-
-
 def test_a_width_that_friction_knows_nothing_of_is_left_out_and_one_that_it_needs_is_kept():
     widths = (5e-4, 2e-3, 2e-2, 6e-2)  # friction bends over the third; the last is the region's, and stays
     config = replace(ONE_SPEED, widths_rad=widths, drop_widths=True, region_width_rad=6e-2)
@@ -687,9 +657,6 @@ def test_widths_within_two_counts_of_the_encoder_are_left_out():
 def test_an_encoder_that_never_moves_has_no_count():
     still = recordings(unloaded, count=1)[0]
     assert encoder_count([replace(still, q=np.ones_like(still.q))]) == 0.0
-
-
-# --- textbook friction
 
 
 def test_textbook_friction_finds_its_three_numbers_a_joint_and_nothing_else():

@@ -35,7 +35,7 @@ def number(arm: str, signals: str) -> int:
     return list(ARMS).index(arm) + len(ARMS) * list(SIGNALS).index(signals)
 
 
-FEW = [
+FEW = {
     number("one joint", "plain"),
     number("one upright joint", "zero torque"),
     number("parallel", "few seconds"),
@@ -44,7 +44,8 @@ FEW = [
     number("weightless links", "one joint moves"),
     number("one joint, no model", "huge torques"),
     number("one joint, no model", "repeated rows"),  # its error scale ends below its bound by rounding
-]
+}
+"""Always used: each ended badly once."""
 
 
 def expect_sound(endings: Iterable[Ending]) -> None:
@@ -54,17 +55,9 @@ def expect_sound(endings: Iterable[Ending]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("dataset", FEW)
-def test_a_small_dataset_ends_in_a_healthy_bundle_or_one_line(dataset):
-    found = of_number(dataset, recipes=["tauext" if dataset == FEW[0] else "prior"])
-    expect_sound(found)
-    assert found
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("first", range(0, COUNT, CHUNK))
 def test_every_small_dataset_ends_in_a_healthy_bundle_or_one_line(first):
-    numbers = [k for k in range(first, min(first + CHUNK, COUNT)) if (k // CHUNK + k) % EVERY == 0]
+    numbers = [k for k in range(first, min(first + CHUNK, COUNT)) if (k // CHUNK + k) % EVERY == 0 or k in FEW]
     expect_sound([one for k in numbers for one in of_number(k)])
 
 

@@ -172,9 +172,6 @@ def test_bad_input_is_named(call, kind, message):
         call()
 
 
-# --- Limits chosen together.
-
-
 def arm_of(rng: np.random.Generator, hours: float, shapes: np.ndarray, rate: float) -> list[list[Tail]]:
     """Tails of an arm whose joints' errors exceed 2 Nm at this rate, (joints, 2), and follow these shapes beyond."""
     return [

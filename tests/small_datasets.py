@@ -395,25 +395,17 @@ def unhealthy(path: Path, training: Sequence[Recording]) -> str:
 
 def endings(small: Small, folder: Path) -> Iterator[Ending]:
     """Train a dataset by its recipes, with what the doctor minds accepted, and use what comes of it."""
+    from tauext.check.finding import codes
+
     data = small.write(folder / "data")
     for recipe in small.recipes:
         out = folder / f"{recipe}.tauext"
         yield (first := ended(small, recipe, lambda out=out, recipe=recipe: train(small, data, out, recipe)))
         if first.message.startswith("the doctor"):
-            codes = tuple(faults(small, data, recipe, folder / "looked.tauext"))
-            work = lambda out=out, recipe=recipe, codes=codes: train(small, data, out, recipe, codes)  # noqa: E731
+            work = lambda out=out, recipe=recipe: train(small, data, out, recipe, tuple(codes()))  # noqa: E731
             yield ended(small, f"{recipe} --accept", work)
         if out.is_file():
             yield from uses(small, data, out)
-
-
-def faults(small: Small, data: Path, recipe: str, out: Path) -> list[str]:
-    """Codes of all that the doctor minds."""
-    try:
-        train(small, data, out, recipe)
-    except FaultyDataError as error:
-        return sorted({finding.code for finding in error.findings})
-    return []
 
 
 def uses(small: Small, data: Path, bundle: Path) -> Iterator[Ending]:

@@ -127,24 +127,27 @@ def test_limits_follow_the_motion_and_sigma_covers_left_out_errors(tmp_path, mon
             assert said[column][healthy, j][fast].mean() > 1.5 * said[column][healthy, j][slow].mean()
 
 
-def test_constants_are_there_for_the_asking_and_for_other_recipes(tmp_path, monkeypatch):
-    for k, settings in enumerate(({"recipe": "prior", "error_scale": "off"}, {"recipe": "friction"})):
-        folder = tmp_path / str(k)
-        folder.mkdir()
-        bundle, facts = trained(folder, monkeypatch, [motion()], **settings)
-        assert bundle.error_scale.on and not bundle.error_scale.follows and "friction_reserve_nm" in facts["limits"]
-        said = _core.estimate(bundle, motion().t_ns, motion().q, motion().dq, motion().tau, 1)
-        for j in range(2):
-            sigma = said["sigma_nm"][:, j]
-            free = np.isfinite(sigma) & (said["doubt"][:, j] == 0)
-            assert len(np.unique(sigma[free])) <= 2  # sliding and near stiction
-            limits = {bundle.sliding_limit_nm[j], bundle.near_stiction_limit_nm[j]}
-            certain = (said["doubt"][:, j] == 0) & np.isfinite(said["limit_nm"][:, j])
-            assert set(np.unique(said["limit_nm"][certain, j])) <= limits
-    folder = tmp_path / "on"
-    folder.mkdir()
-    bundle, _ = trained(folder, monkeypatch, [motion()], recipe="friction", error_scale="on")
-    assert bundle.error_scale.on
+@pytest.mark.parametrize(
+    ("settings", "follows"),
+    [
+        ({"recipe": "prior", "error_scale": "off"}, False),
+        ({"recipe": "friction"}, False),
+        ({"recipe": "friction", "error_scale": "on"}, True),
+    ],
+)
+def test_constants_are_there_for_the_asking_and_for_other_recipes(tmp_path, monkeypatch, settings, follows):
+    bundle, facts = trained(tmp_path, monkeypatch, [motion()], **settings)
+    assert bundle.error_scale.on and bundle.error_scale.follows == follows
+    if follows:
+        return
+    assert "friction_reserve_nm" in facts["limits"]
+    said = _core.estimate(bundle, *motion().signals, 1)
+    for j in range(2):
+        certain = (said["doubt"][:, j] == 0) & np.isfinite(said["sigma_nm"][:, j])
+        assert len(np.unique(said["sigma_nm"][certain, j])) <= 2  # sliding and near stiction
+        limits = {bundle.sliding_limit_nm[j], bundle.near_stiction_limit_nm[j]}
+        certain = (said["doubt"][:, j] == 0) & np.isfinite(said["limit_nm"][:, j])
+        assert set(np.unique(said["limit_nm"][certain, j])) <= limits
 
 
 def test_a_reserve_of_friction_is_added_at_every_speed(tmp_path, monkeypatch):

@@ -430,23 +430,16 @@ def test_bundles_keep_capsules_and_refuse_broken_ones(capsule, words):
 
 
 def test_what_is_not_known_and_what_does_not_fit(bundle, model):
-    tau = [1.0] * 7
+    tau, sigma, bare = [1.0] * 7, SIGMA.tolist(), _core.Bundle()
     for broken in ([np.nan] + tau[1:], [np.inf] + tau[1:]):
-        told = model.find([0.0] * 7, broken, SIGMA.tolist())
-        assert (
-            not told.known
-            and told.places == []
-            and told.best is None
-            and told.ranked == []
-            and np.isnan(told.consistent)
-        )
+        told = model.find([0.0] * 7, broken, sigma)
+        assert not told.known and told.places == told.ranked == []
+        assert told.best is None and np.isnan(told.consistent)
     assert not model.find([0.0] * 7, tau, [0.0] * 7).known
-    assert not model.find([0.0] * 7, tau, SIGMA.tolist(), dq=[np.nan] * 7).known
-    with pytest.raises(_core.CoreError, match="must hold 7 values"):
-        model.find([0.0] * 7, tau, tau, dq=[0.0])
-    with pytest.raises(_core.CoreError, match="must hold 7 values"):
-        model.find([0.0] * 6, tau, tau)
-    bare = _core.Bundle()
+    assert not model.find([0.0] * 7, tau, sigma, dq=[np.nan] * 7).known
+    for q, dq in (([0.0] * 7, [0.0]), ([0.0] * 6, None)):
+        with pytest.raises(_core.CoreError, match="must hold 7 values"):
+            model.find(q, tau, tau, **({"dq": dq} if dq else {}))
     bare.links = bundle.links
     refused = _core.PlaceModel(bare)
     assert "error scale" in refused.refused

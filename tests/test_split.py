@@ -101,12 +101,12 @@ def test_a_wrong_split_file_is_refused_by_name(fault, dataset):
     assert message in str(caught.value)
 
 
-def test_a_missing_or_garbled_split_file_is_refused_by_name(tmp_path):
-    with pytest.raises(ConfigError, match=r"split\.json: there is no such file"):
-        load_split(tmp_path)
-    (tmp_path / "split.json").write_text("{")
-    with pytest.raises(ConfigError, match=r"split\.json: not readable as JSON"):
-        load_split(tmp_path)
-    (tmp_path / "split.json").write_text("[]")
-    with pytest.raises(ConfigError, match="its 'format' is missing"):
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [(None, "there is no such file"), ("{", "not readable as JSON"), ("[]", ".*its 'format' is missing")],
+)
+def test_a_missing_or_garbled_split_file_is_refused_by_name(tmp_path, text, message):
+    if text is not None:
+        (tmp_path / "split.json").write_text(text)
+    with pytest.raises(ConfigError, match=rf"split\.json: {message}"):
         load_split(tmp_path)

@@ -1,6 +1,6 @@
 """What is installed beside tauext: plug-ins, found by their entry points, and libraries that one part needs.
 
-A package adds a robot, a command or a recipe in its pyproject.toml:
+A package adds a robot, a command, a recipe, a format or an output in its pyproject.toml:
 
     [project.entry-points."tauext.sources"]
     myarm = "my_package:KIND"        # a tauext.sources.open.SourceKind
@@ -10,6 +10,8 @@ A package adds a robot, a command or a recipe in its pyproject.toml:
     myrecipe = "my_package:RECIPE"   # a tauext.recipes.Recipe of this name
     [project.entry-points."tauext.importers"]
     myformat = "my_package:IMPORTER"  # a tauext.data.importers.raw.Importer
+    [project.entry-points."tauext.sinks"]
+    myoutput = "my_package:OUTPUT"   # a tauext.monitor.sink_kind.SinkKind: the option --myoutput
     [project.entry-points."tauext.checks"]
     mycheck = "my_package:CHECK"      # a tauext.check.finding.Check
 
@@ -30,23 +32,25 @@ from typing import Any, TypeVar
 from tauext.errors import ConfigError
 
 Added = TypeVar("Added")
-SOURCES, COMMANDS, IMPORTERS, CHECKS, RECIPES, PARTS = GROUPS = (
+SOURCES, COMMANDS, IMPORTERS, SINKS, CHECKS, RECIPES, PARTS = GROUPS = (
     "tauext.sources",
     "tauext.commands",
     "tauext.importers",
+    "tauext.sinks",
     "tauext.checks",
     "tauext.recipes",
     "tauext.parts",
 )
 """Groups of entry points."""
 OF_FLEET = ("fleet", "like", "prior-content")
-OF_LAB = ("sim", "simulate", "evaluate", "report", "reproduce", "joint-picture", "check-pictures", "force", "network")
+OF_LAB = ("sim", "mcap", "simulate", "evaluate", "report", "reproduce", "force", "network")
+OF_PICTURES = ("joint-picture", "check-pictures")
 OF_LEROBOT = ("lerobot", "lerobot-calibration", "label", "guard", "feetech", "dynamixel", "damiao")
 OF_SERVOS = ("servo-torque", "servo-signals", "backlash")
 FOLDERS = (
     {"commission": "lab commission", "ros2": "ros2"}
     | dict.fromkeys(OF_FLEET, "lab fleet")
-    | dict.fromkeys((*OF_LAB, "torch"), "lab")
+    | dict.fromkeys((*OF_LAB, *OF_PICTURES, "torch"), "lab")
     | dict.fromkeys(OF_LEROBOT + OF_SERVOS, "lerobot")
 )
 """Folders of packages/ to install, by the entry point that the last one adds. No registry has these yet: their names

@@ -362,7 +362,6 @@ class Commission:
         settings, self._arm = facts.settings, json.loads(json.dumps(as_data(facts)))
         bundle = self._first_bundle()
         record = KeepSink(folder, settings, source.name, options.disk_bytes, lambda: live.bundle or "")
-        record.note = self._note
         recorder = _core.FlightRecorder(len(settings.joints), settings.period_ns, BEFORE_S, AFTER_S, True)
         flights = FlightSink(folder.flights, bundle, recorder, source.name)
         reactions = start_reactions(options.cell(settings.joints).reactions, source, publishers)

@@ -127,7 +127,8 @@ def understood(command: Callable[..., Any], prog: str, arguments: Sequence[str])
     except SystemExit as stop:
         if not stop.code:
             raise
-        missing = (plugins.how_to_add(word.partition(":")[0]) for word in arguments)  # its options are missing, too
+        names = (re.split("[:.=]", word.removeprefix("--"))[0] for word in arguments)
+        missing = (plugins.how_to_add(name.replace("_", "-")) for name in names)  # its options are missing, too
         added = next(filter(None, missing), None)
         raise ConfigError(added or f"{in_one_line(printed.getvalue())}; see `{prog} --help`") from None
     sys.stderr.write(printed.getvalue())
@@ -273,7 +274,6 @@ PLAIN: Sequence[tuple[str, Callable[[re.Match[str]], str]]] = (
         lambda m: f"{m[2]} takes one of {choices(m[3])}; not {m[1]}",
     ),
     (r"Missing from tauext[\w ]*: (.*)", lambda m: f"missing: {m[1]}"),
-    (r"Unrecognized options: --(\w+)\..*", lambda m: plugins.how_to_add(m[1]) or m[0]),
 )
 """The parser's messages, and the same in plain words; the first that matches."""
 

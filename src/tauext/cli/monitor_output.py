@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 
 from tauext import _core
 from tauext.cli.json_lines import Output
+from tauext.cli.text_lines import Outcome
+from tauext.errors import ConfigError
 from tauext.monitor.background import BackgroundWorker
 from tauext.monitor.flight_files import FlightCount
 from tauext.monitor.loop import Loop, ProfileSwitch, chunk_of
 from tauext.monitor.monitored_time import Monitored, MonitoredNews
 from tauext.monitor.reactions import Reactions
-from tauext.monitor.record_sink import FlightSink
+from tauext.monitor.record_sink import FlightSink, RecordCount
 from tauext.monitor.replay import Tally
-from tauext.monitor.sink import Control, LoopReport, Verdict
+from tauext.monitor.sink import Control, LoopReport, Losing, Verdict
+from tauext.monitor.source import SourceCounts
 
 # --- Output beside the loop: a terminal that draws, or a pipe without a reader, delays no sample.
 
@@ -45,6 +48,13 @@ def output_thread(failed: Callable[[], object], patient: bool = False) -> Iterat
         worker.end(END_S)
     if worker.error is not None:
         raise worker.error
+
+
+def expect_nothing_lost(sinks: Sequence[Losing]) -> None:
+    """Raise ConfigError where a sink could not write samples."""
+    for sink in sinks:
+        if why := sink.loss():
+            raise ConfigError(why)
 
 
 # --- Reports of the loop, printed in another thread.
@@ -129,6 +139,15 @@ class OutputSink:
         for flight in self._flight_sink.news() if self._flight_sink else ():
             self.flights.add(flight)
             self._worker.put(partial(self._output.flight, flight), must=True)
+
+    def outcome(self, counts: SourceCounts, recorded: RecordCount | None) -> Outcome:
+        """The summary after the loop has ended."""
+        loop, flights = self._loop, self._flight_sink
+        if flights is not None:
+            self.flights.missed, self.flights.repeated = flights.recorder.missed, flights.repeated
+        reactions = {thread.reaction.name: thread.count for thread in self._reactions.threads}
+        of_loop = (loop.tick, loop.missing, counts)
+        return Outcome(self.tally, *of_loop, self.flights, reactions, recorded, loop.monitored)
 
     def _print(self) -> None:
         """Samples that did not come are shown, and not counted."""

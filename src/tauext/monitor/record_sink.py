@@ -71,8 +71,6 @@ class RecordSink:
             except OSError as error:
                 raise ConfigError(f"{folder}: no folder for recordings ({error.strerror or error})") from error
             expect_folder(folder, LEAST_ROOM)
-        self.note: Callable[[str], None] = lambda text: None
-        """Called in the loop's thread, at most once a second, while samples are lost; set before open()."""
         self.is_losing = False
         """Whether the newest recording could not be written."""
         self._reported = self._lost_at_end = 0
@@ -93,7 +91,7 @@ class RecordSink:
         """Writes segments."""
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
-        self._joints = joints
+        self._joints, self._control = joints, control
         self._begin()
         self.worker.start()
 
@@ -144,10 +142,15 @@ class RecordSink:
         if lost > self._reported:
             self._reported = lost
             remedy = "; recording goes on by itself once the disk has room and can be written" if self.is_losing else ""
-            self.note(f"RECORDING LOSES SAMPLES: {lost:,} so far ({self.count.error}){remedy}")
+            self._control.note(f"RECORDING LOSES SAMPLES: {lost:,} so far ({self.count.error}){remedy}")
         elif self._reported > self._lost_at_end and not self.is_losing:
             self._lost_at_end = self._reported
-            self.note(f"recording works again; {lost:,} samples were lost so far")
+            self._control.note(f"recording works again; {lost:,} samples were lost so far")
+
+    def loss(self) -> str:
+        """See Losing."""
+        lost, of = self.count.lost, self.count.lost + self.count.samples
+        return f"{lost} of {of} samples of the recording are lost: {self.count.error}" if lost else ""
 
     def close(self) -> None:
         """Write the remaining samples and wait for the disk."""

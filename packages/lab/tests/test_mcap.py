@@ -24,19 +24,19 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from tauext_lab.mcap import writer as mcap_writer
+from tauext_lab.mcap.log import DRAWN_HZ, M_PER_N, Arm, McapLog, arrows_of, quaternion
+from tauext_lab.mcap.messages import Template, cdr, stamp
+from tauext_lab.mcap.sink import McapSink
+from tauext_lab.mcap.viewer_urdf import viewer_urdf
 
 from tauext import _core
-from tauext.data import mcap_writer
 from tauext.data.importers.open_raw import open_raw
 from tauext.data.recording_file import save_recording
-from tauext.data.ros_messages import Template, cdr, stamp
 from tauext.errors import ConfigError
 from tauext.monitor.loop import Loop
-from tauext.monitor.mcap_log import DRAWN_HZ, M_PER_N, Arm, McapLog, arrows_of, quaternion
-from tauext.monitor.mcap_sink import McapSink
 from tauext.monitor.phases import Phase, Phases
 from tauext.monitor.touch_place import PlaceFinder
-from tauext.robot.viewer_urdf import viewer_urdf
 
 ROWS, PUSH_S, PUSH_N = 1500, (0.8, 1.2), (60.0, 120.0, 0.0)
 ALWAYS = {

@@ -48,7 +48,8 @@ OF_PICTURES = ("joint-picture", "check-pictures")
 OF_LEROBOT = ("lerobot", "lerobot-calibration", "label", "guard", "feetech", "dynamixel", "damiao")
 OF_SERVOS = ("servo-torque", "servo-signals", "backlash")
 FOLDERS = (
-    {"commission": "lab commission", "ros2": "ros2"}
+    dict.fromkeys(("commission", "touch-labels"), "lab commission")
+    | {"ros2": "ros2"}
     | dict.fromkeys(OF_FLEET, "lab fleet")
     | dict.fromkeys((*OF_LAB, *OF_PICTURES, "torch"), "lab")
     | dict.fromkeys(OF_LEROBOT + OF_SERVOS, "lerobot")
@@ -57,6 +58,8 @@ FOLDERS = (
 there may be those of strangers."""
 MARKS = {"commission.json": "commission"}
 """Commands of packages by the files that mark the folders they make."""
+LABELLED = ("journal.jsonl", "journal.copy.jsonl")
+"""Files that mark folders whose recordings have labels; the part `touch-labels` reads them."""
 IMPORTED = {"meta/info.json": "lerobot"}
 """Importers of packages by the files that mark the folders they read."""
 

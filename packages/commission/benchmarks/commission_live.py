@@ -35,9 +35,8 @@ sys.path.insert(0, str(Path(__file__).parents[3] / "tests"))
 
 from common import arguments, head, table_row, write_tables
 from made_browser import Browser, Page
+from tauext_commission.history_file import active_bundle, lost_lines, read_events, read_labels, read_question
 
-from tauext.bundle.history_file import active_bundle, lost_lines, read_events, read_question
-from tauext.data.labels import read_labels
 from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
 

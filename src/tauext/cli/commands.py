@@ -14,7 +14,7 @@ from tauext.errors import ConfigError
 
 @dataclass(frozen=True)
 class Folders:
-    """Folders that a command makes, and what `tauext show` and `tauext report` do with them."""
+    """Folders that a command makes, and what `tauext show`, `tauext report` and `tauext send` do with them."""
 
     mark: str
     """Name of a file that each of them holds."""
@@ -22,6 +22,8 @@ class Folders:
     """`module:function` of a folder and whether JSON is asked for, which prints what is in it."""
     report: str
     """`module:function` of some folders and the folder of pages, which draws their history."""
+    socket: str
+    """`module:function` of a folder, which returns the path of its control socket."""
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,10 @@ import gc
 import math
 import queue
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
-from pathlib import Path
+from typing import Protocol, cast
 
 import numpy as np
 
@@ -22,24 +19,10 @@ from tauext.config import require
 from tauext.errors import ConfigError, TauextError
 from tauext.monitor.changes import WeighChange
 from tauext.monitor.episode import EpisodeFinder
-from tauext.monitor.exchange import (
-    FIRST_QUIET_S,
-    MARK_S,
-    NO_BUNDLE,
-    QUIET_S,
-    AnyMonitor,
-    Exchanged,
-    NoMonitor,
-    Ring,
-    Successor,
-    exchange,
-    holds_back,
-    put_load,
-    why_not_exchange,
-)
 from tauext.monitor.latency import Latencies, ask_for_real_time
 from tauext.monitor.loads import Expected, TimedLoad
 from tauext.monitor.monitored_time import LATE_S, Monitored, MonitoredTime
+from tauext.monitor.no_monitor import NO_BUNDLE, AnyMonitor, NoMonitor
 from tauext.monitor.phases import Announced, Phases, bounds_words
 from tauext.monitor.profiles import Profile, Profiles
 from tauext.monitor.reactions import Reactions
@@ -128,6 +111,28 @@ class ProfileSwitch:
     new: str
 
 
+class BundleSupply(Protocol):
+    """Brings other bundles into a running loop, by Loop.take_over(); the loop's thread calls all of this."""
+
+    def start(self) -> None:
+        """Begin; threads that start here get no real-time core and priority."""
+
+    def end(self) -> None:
+        """The loop has ended."""
+
+    def judged(self, block: Block, estimates: dict[str, np.ndarray]) -> None:
+        """The loop's monitor has judged these samples."""
+
+    def missed(self, t_ns: int) -> None:
+        """A sample did not come."""
+
+    def load_set(self, load: _core.Load, since_ns: int | None) -> None:
+        """The loop has set a load in its monitor."""
+
+    def resumed(self) -> None:
+        """The loop has resumed its monitor."""
+
+
 class Loop:
     """Runs a bundle's monitor on a source until that ends, or until a stop request or Ctrl-C.
 
@@ -150,20 +155,15 @@ class Loop:
         """Raises ConfigError where the parts do not fit each other.
 
         Args:
-            bundle: None with an arm: nothing is monitored until exchange() brings one.
+            bundle: None with an arm: nothing is monitored until take_over() brings one.
             recorder: receives every sample, and NaN for a missing one; the caller takes its flights.
-            arm: what the source delivers, whatever the bundle; with it the bundle can be exchanged.
-            phases: contacts that the task means. Not where the bundle can be exchanged: training would learn from them.
+            arm: what the source delivers, whatever the bundle; None: what the bundle expects.
+            phases: contacts that the task means.
             loads: of the arm in a recording, with the times from which on it carries them.
         """
-        if arm is not None and bundle is not None and (reason := why_not_exchange(bundle, arm)):
-            raise ConfigError(reason)
-        if bundle is not None:
-            self._arm = arm or settings_of(bundle)
-        elif arm is not None:
-            self._arm = arm
-        else:
+        if bundle is None and arm is None:
             raise ConfigError("a loop needs a bundle, or an arm that waits for one")
+        self._arm = arm or settings_of(cast(_core.Bundle, bundle))
         self.monitor: AnyMonitor = NoMonitor(self._arm) if bundle is None else _core.Monitor(bundle, settings.own_rate)
         self.joints = self._arm.joints
         self.sinks = list(sinks)
@@ -177,9 +177,10 @@ class Loop:
         self.missing = self.samples = 0
         self.monitored = Monitored()
         """Share of the time in which the arm was monitored, once a second."""
-        self.exchanged: Callable[[Exchanged], None] = lambda exchanged: None
-        """Called in the loop's thread with every exchange of the bundle."""
-        self._bundle, self._source, self._reactions = bundle, source, reactions or Reactions()
+        self.supply: BundleSupply | None = None
+        """What brings other bundles; set it before run()."""
+        self.bundle, self.settings = bundle, settings
+        self._source, self._reactions = source, reactions or Reactions()
         self._reacts = reactions is not None
         self._turns = Turns(self._arm, bundle)
         servo = self._arm.servo
@@ -188,20 +189,14 @@ class Loop:
         self._servo = ServoStage(servo) if servo is not None and servo.on and not is_made else None
         self._profiles, self._recorder = profiles, recorder
         self._profile: Profile | None = None
-        self._settings = settings
         self._requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         """Requests that the loop's thread executes before the next sample."""
         places = None if bundle is None else PlaceFinder(bundle, settings.wrench)
-        if reason := self._why_refused(self.monitor, places):
+        if reason := self.why_refused(self.monitor, places):
             raise ConfigError(reason)
         self._changes = EventStream(self.monitor, places, phases)
         self._facts = {"bundle": "" if bundle is None else bundle.name, "source": source.name}
         self._events, self._episodes = EventFinder(self.joints, self._facts), EpisodeFinder(self._facts["bundle"])
-        self._ring = None if arm is None else Ring(len(self.joints), arm.period_ns)
-        self._model = 0 if bundle is None else bundle.model_digest
-        self._mark_ns: int | None = None
-        self._load_kg = 0.0
-        self._exchanges: queue.SimpleQueue[tuple[Path, Callable[[str], None]] | None] = queue.SimpleQueue()
         self._time = CountedTime(self._arm.period_ns)
         self._due_ns: int | None = None
         """Counted time at which the alarm that stands is acknowledged; None: it is not."""
@@ -209,14 +204,13 @@ class Loop:
         """Jumps of the stamps so far; what was requested for a time since the last one, for the note at the next."""
         self._answered = 0
         """Number of the answered alarm that is acknowledged once its touch is over; 0: none."""
-        self._last_t_ns: int | None = None
+        self.last_t_ns: int | None = None
         """Stamp of the last sample, [ns]; None: none came yet."""
         self._received_ns = 0
         """Its reception, by time.monotonic_ns()."""
         self._stopped = False
         period_s = self.monitor.sample_period_ns * 1e-9
         self._most_rows = max(1, round(settings.block_s / period_s))
-        self._running = True
         self._missing_after_s = settings.missing_after_s or period_s + max(period_s, 0.002)
         self._second = Latencies()
         self._watched = MonitoredTime(self._missing_after_s)
@@ -246,7 +240,7 @@ class Loop:
         self._requests.put(lambda: self._expect(expected, by))
 
     def declare(self, announced: Announced, by: str) -> None:
-        if self._ring is not None:
+        if self.supply is not None:
             raise ConfigError("contact: an arm that is being commissioned learns from its motion; use `tauext monitor`")
         named = self._changes.phases.named(announced.name) if announced.name else None
         contact = announced.contact if named is None else named.contact
@@ -257,7 +251,7 @@ class Loop:
     def _why_not(self, expected: Expected) -> str:
         return self.monitor.why_not_expected(expected.seconds, expected.at_most)
 
-    def _why_refused(self, monitor: AnyMonitor, places: PlaceFinder | None) -> str:
+    def why_refused(self, monitor: AnyMonitor, places: PlaceFinder | None) -> str:
         """Reason why profiles or reactions do not work with this monitor; empty: they do."""
         for profile in self._profiles.by_name.values() if self._profiles else ():
             load, expect = profile.load, profile.expect
@@ -298,25 +292,9 @@ class Loop:
     def stop(self, by: str) -> None:
         self._requests.put(lambda: self._stop(by))
 
-    def exchange(self, path: Path, done: Callable[[str], None]) -> None:
-        """Bring the bundle of this file into the loop, between two samples, once it has caught up and is quiet.
-
-        A newer request replaces one that still waits.
-
-        Args:
-            done: called in another thread with "" after the exchange, or with the reason why there is none.
-
-        Raises:
-            ConfigError: the loop was made without an arm.
-        """
-        if self._ring is None:
-            raise ConfigError("only a loop that was made with an arm can exchange its bundle")
-        self._exchanges.put((path, done))
-
-    @property
-    def carried(self) -> bytes:
-        """What the monitor carried at the newest second, for start_from(); empty: nothing yet."""
-        return b"" if self._ring is None else self._ring.carried
+    def request(self, act: Callable[[], None]) -> None:
+        """Have the loop's thread do this before the next sample; any thread."""
+        self._requests.put(act)
 
     def start_from(self, carried: bytes, alarms: int, is_answered: bool = False) -> str:
         """Before run(): continue what an earlier loop's `carried` holds; returns "" or the reason why it cannot.
@@ -333,7 +311,6 @@ class Loop:
             self.monitor.carry_alarm(carried)
         except _core.CoreError as error:
             return str(error)
-        self._load_kg = self.monitor.load.mass
         last = self.monitor.last
         if last.alarm != _core.Alarm.none:
             self.monitor.alarms = number = max(alarms, 1)
@@ -377,9 +354,9 @@ class Loop:
                 sink.open(self.joints, self)
                 opened.append(sink)
             self._sinks_follow()
-            if self._ring is not None:  # before a core and a priority are taken, which threads inherit
-                threading.Thread(target=self._exchange_each, name="exchange", daemon=True).start()
-            for text in ask_for_real_time(self._settings.core, self._settings.priority):
+            if self.supply is not None:  # before a core and a priority are taken, which threads inherit
+                self.supply.start()
+            for text in ask_for_real_time(self.settings.core, self.settings.priority):
                 self.note(text)
             self._source.open(self._arm)
             sys.setswitchinterval(SWITCH_S)
@@ -388,8 +365,8 @@ class Loop:
             self._run()
         finally:
             gc.unfreeze()
-            self._running = False
-            self._exchanges.put(None)
+            if self.supply is not None:
+                self.supply.end()
             sys.setswitchinterval(interval)
             self.monitored = self._watched.second()
             self._source.close()
@@ -430,13 +407,13 @@ class Loop:
                 due = self._received_ns * 1e-9 + self._missing_after_s
             else:
                 now = time.monotonic()
-                if now >= due and self._last_t_ns is not None and not self._source.ended:
+                if now >= due and self.last_t_ns is not None and not self._source.ended:
                     due = now + self._missed(now)
             now = time.monotonic()
             if now >= second + 1:
                 self._report((self.samples - before) / (now - second))
                 second, before = now, self.samples
-            if self._settings.duration_s is not None and now >= started + self._settings.duration_s:
+            if self.settings.duration_s is not None and now >= started + self.settings.duration_s:
                 return
 
     def _do(self, request: Callable[[], None]) -> None:
@@ -489,7 +466,7 @@ class Loop:
         """
         next_ns = self._changes.act_when_due(self.samples, int(t_ns[0]))
         rows = 1 if self._answered or not is_sized else len(times_ns)
-        after_s = self._settings.acknowledge_after_s
+        after_s = self.settings.acknowledge_after_s
         if rows > 1 and after_s is not None:
             due_ns = times_ns[0] + round(after_s * 1e9) if self._due_ns is None else self._due_ns
             rows = max(1, min(rows, int(np.searchsorted(times_ns, due_ns))))
@@ -510,11 +487,11 @@ class Loop:
         else:
             estimates = self.monitor.run_wrong_size(int(block.t_ns[0]), self._recorder)
         core_s = (time.monotonic_ns() - began_ns) * 1e-9
-        self._last_t_ns, self._received_ns = int(block.t_ns[-1]), int(block.received_ns[-1])
+        self.last_t_ns, self._received_ns = int(block.t_ns[-1]), int(block.received_ns[-1])
         if self.monitor.clock_jumps != self._jumps:
             self._note_jump()
-        if self._ring is not None:
-            self._remember(self._ring, block, estimates)
+        if self.supply is not None:
+            self.supply.judged(block, estimates)
         self._publish(block.t_ns, block, times_ns, estimates, core_s)
         self.samples += len(block)
         now_ns = time.monotonic_ns()
@@ -526,95 +503,27 @@ class Loop:
 
     def _missed(self, now: float) -> float:
         """Report a missing sample to the monitor; returns the time to wait, [s], which grows while none comes."""
-        assert self._last_t_ns is not None  # silence counts from a sample
+        assert self.last_t_ns is not None  # silence counts from a sample
         self.missing += 1
         silent_s = now - self._received_ns * 1e-9
-        t_ns = self._last_t_ns + round(silent_s * 1e9)
+        t_ns = self.last_t_ns + round(silent_s * 1e9)
         time_ns = self._time.step(t_ns)
         self._acknowledge_when_due(time_ns)
-        if self._ring is not None:
-            self._ring.miss(t_ns)
+        if self.supply is not None:
+            self.supply.missed(t_ns)
         estimates = self.monitor.run_missing(t_ns, self._recorder)
         self._publish(np.array([t_ns]), None, np.array([time_ns]), estimates)
         self._watched.miss(time.monotonic_ns(), int(estimates["causes"][0]))
         return max(self.monitor.sample_period_ns * 1e-9, min(IDLE_S, silent_s / 10))
 
-    def _remember(self, ring: Ring, block: Block, estimates: dict[str, np.ndarray]) -> None:
-        """For the next bundle: these samples, what they did to the load, and what is carried once a second."""
-        kg, t_ns = estimates["load_kg"], int(block.t_ns[-1])
-        if kg[-1] != self._load_kg or (kg != kg[0]).any():
-            k = int(np.flatnonzero(np.append(self._load_kg, kg[:-1]) != kg)[-1])
-            self._load_kg, since_ns = float(kg[-1]), int(estimates["load_found_ns"][-1])
-            ring.act(partial(put_load, load=self.monitor.load, since_ns=since_ns or None), ahead=k)
-        held = np.maximum(estimates["held_alarm"], holds_back(estimates["load_phase"]))
-        ring.add(block, held)
-        if isinstance(self.monitor, _core.Monitor):
-            if self._mark_ns is None or not 0 <= t_ns - self._mark_ns < MARK_S * 1e9:
-                self._mark_ns = t_ns
-                ring.mark(self.monitor.carried(), self._model)
-
-    # Exchange of the bundle.
-
-    def _exchange_each(self) -> None:
-        """In a thread of its own, which no real-time priority reaches."""
-        assert self._ring is not None
-
-        def why_not(successor: Successor) -> str:
-            return self._why_refused(successor.monitor, successor.places)
-
-        def stop() -> str:
-            return (
-                ""
-                if self._running and self._exchanges.empty()
-                else "a newer bundle, or the end of the loop, came first"
-            )
-
-        given, calls = self._settings, (why_not, self._ask_to_take_over, stop)
-        while (request := self._exchanges.get()) is not None:
-            path, done = request
-            quiet_s = FIRST_QUIET_S if isinstance(self.monitor, NoMonitor) else QUIET_S
-            try:  # whatever is wrong, the next bundle must find this thread
-                answer = exchange(path, self._ring, self._arm, *calls, given.own_rate, given.wrench, quiet_s)
-            except Exception as error:
-                answer = f"{path.name!r}: {type(error).__name__}: {error}"
-            try:
-                done(answer)
-            except Exception as error:
-                self._requests.put(partial(self._note, f"{path.name!r}: {type(error).__name__}: {error}"))
-
-    def _ask_to_take_over(self, successor: Successor) -> str:
-        """In the thread of exchanges: have the loop take over, and wait for its answer."""
-        answers: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._requests.put(lambda: answers.put(self._take_over(successor)))
-        while self._running or not answers.empty():
-            with suppress(queue.Empty):
-                return answers.get(timeout=IDLE_S)
-        return "the loop has ended"
-
-    def _take_over(self, successor: Successor) -> str:
-        """Between two samples: exchange the monitor; returns why not yet."""
-        assert self._ring is not None
-        started, first = time.monotonic_ns(), successor.first_row
-        try:
-            if reason := successor.finish(self.monitor):
-                return reason
-        except Exception as error:  # the loop goes on with what it has
-            return f"{type(error).__name__}: {error}"
-        successor.replaced = self.monitor, self._bundle
-        self._changes.exchange(successor.monitor, successor.places)
-        self.monitor, self._bundle = successor.monitor, successor.bundle
-        self._jumps = successor.monitor.clock_jumps
-        self._turns.follow(successor.bundle)
-        self._load_kg = successor.monitor.load.mass
-        self._model, self._mark_ns = successor.model, None
-        old, self._facts["bundle"] = self._facts["bundle"], successor.bundle.name
-        self._episodes.bundle = successor.bundle.name
+    def take_over(self, bundle: _core.Bundle, monitor: _core.Monitor, places: PlaceFinder) -> None:
+        """Continue with this bundle's monitor, between two samples; in the loop's thread."""
+        self._changes.exchange(monitor, places)
+        self.monitor, self.bundle = monitor, bundle
+        self._jumps = monitor.clock_jumps
+        self._turns.follow(bundle)
+        self._facts["bundle"] = self._episodes.bundle = bundle.name
         self._sinks_follow()
-        took_us = (time.monotonic_ns() - started) * 1e-3
-        replayed = successor.row - first
-        facts = (self.samples, self._last_t_ns, replayed, successor.carried, successor.left, successor.alarms, took_us)
-        self.exchanged(Exchanged(successor.bundle.name, old, *facts))
-        return ""
 
     def _publish(
         self,
@@ -634,7 +543,7 @@ class Loop:
         if self._reacts:
             for event in self._events.find(verdict):
                 self._reactions.put(event)
-        after_s = self._settings.acknowledge_after_s
+        after_s = self.settings.acknowledge_after_s
         if after_s is not None and self._due_ns is None and estimates["alarm"][-1] == COLLISION:
             self._due_ns = int(times_ns[(estimates["alarm"] == COLLISION).argmax()]) + round(after_s * 1e9)
         self._each_sink(lambda sink: sink.verdict(verdict))
@@ -664,11 +573,8 @@ class Loop:
 
     def _sinks_follow(self) -> None:
         """Pass on the bundle that monitors from here on."""
-        if (bundle := self._bundle) is not None:
+        if (bundle := self.bundle) is not None:
             self._each_sink(lambda sink: sink.follow(bundle, self._real) if isinstance(sink, Follows) else None)
-
-    def _note(self, text: str) -> None:
-        self.note(text)
 
     def _forward_notes(self) -> None:
         for text in (*self._source.notes(), *self._turns.notes()):
@@ -699,7 +605,7 @@ class Loop:
             self._carry(new.load, None, f"profile {name}")
         if new.expect is not None:
             self._expect(new.expect, f"profile {name}")
-        self.switched(ProfileSwitch(self._last_t_ns, by, old.name if old else "", name))
+        self.switched(ProfileSwitch(self.last_t_ns, by, old.name if old else "", name))
 
     @property
     def _real(self) -> _core.Monitor:
@@ -729,13 +635,12 @@ class Loop:
     def _carry(self, load: _core.Load, ago_s: float | None, by: str) -> None:
         since_ns = None if ago_s is None else self._last_ns - round(ago_s * 1e9)
         self._changes.carry(load, self.samples, self._last_ns, by, since_ns)
-        if self._ring is not None:
-            self._load_kg = load.mass
-            self._ring.act(partial(put_load, load=load, since_ns=since_ns))
+        if self.supply is not None:
+            self.supply.load_set(load, since_ns)
 
     @property
     def _last_ns(self) -> int:
-        return self._last_t_ns or 0
+        return self.last_t_ns or 0
 
     def _weigh(self, what: str, reach_m: float, by: str) -> None:
         if what == "start":
@@ -750,8 +655,8 @@ class Loop:
 
     def _resume(self, by: str) -> None:
         self._end_alarm(self.monitor.resume, f"resumed by {by}")
-        if self._ring is not None:
-            self._ring.act(lambda monitor: monitor.resume())
+        if self.supply is not None:
+            self.supply.resumed()
 
     @property
     def _standing(self) -> int:
@@ -770,7 +675,7 @@ class Loop:
         """now_ns: counted time of the next sample."""
         if self._answered and self._answered != self._standing:  # it has ended by itself
             self._answered, self._due_ns = 0, None
-        after_s = self._settings.acknowledge_after_s
+        after_s = self.settings.acknowledge_after_s
         if self._answered and self._due_ns is None and after_s is not None:  # a contact that lasts
             self._due_ns = now_ns + round(after_s * 1e9)
         is_due = self._due_ns is not None and now_ns >= self._due_ns

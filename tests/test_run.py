@@ -9,7 +9,7 @@ import re
 import subprocess
 import sys
 import time
-from functools import cache, partial
+from functools import cache
 from io import StringIO
 from pathlib import Path
 
@@ -26,10 +26,12 @@ from tauext.cli.live_view import LiveView, bar
 from tauext.cli.text_lines import TextLines
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import RecordingError
+from tauext.monitor import record_sink
 from tauext.monitor.changes import AlarmChange, ChangeFinder, HiddenCollision, TouchChange
 from tauext.monitor.explanation import MEANING, explain
 from tauext.monitor.flight_content import event_kind, flight_rate_hz, rows_kept
-from tauext.monitor.flight_files import FlightCount, FlightSource, FlightWriter, write_flight
+from tauext.monitor.flight_files import FlightCount, FlightSource
+from tauext.monitor.record_sink import FlightSink
 from tauext.monitor.replay import Tally
 from tauext.sources.replay import Pace, ReplaySource
 
@@ -220,17 +222,21 @@ def test_the_tally_counts_what_arrays_of_all_samples_hold(bundle):
 # Flights
 
 
+def flight_sink(bundle, samples, folder: Path, before_s=1.0, after_s=0.5, contacts=False, **options) -> FlightSink:
+    folder.mkdir(exist_ok=True)
+    recorder = _core.FlightRecorder(2, bundle.observer.sample_period_ns, before_s, after_s, contacts)
+    sink = FlightSink(folder, bundle, recorder, FlightSource.of(bundle, samples), **options)
+    sink.open(JOINTS, None)
+    return sink
+
+
 def flown(bundle, samples, folder: Path, before_s=1.0, after_s=0.5, contacts=False, **options) -> list:
     """News of the flights of one replay."""
-    folder.mkdir(exist_ok=True)
-    monitor = _core.Monitor(bundle)
-    recorder = _core.FlightRecorder(2, monitor.sample_period_ns, before_s, after_s, contacts)
-    source = FlightSource.of(bundle, samples)
-    with FlightWriter(recorder, partial(write_flight, folder=folder, source=source)) as writer:
-        chunk_s = after_s or 0.02
-        replay(monitor, samples, recorder=recorder, chunk_s=chunk_s, each=lambda chunk: writer.catch_up(), **options)
-    assert recorder.missed == 0
-    return writer.news()
+    sink = flight_sink(bundle, samples, folder, before_s, after_s, contacts)
+    replay(_core.Monitor(bundle), samples, sink.recorder, chunk_s=after_s or 0.02, each=sink.verdict, **options)
+    sink.close()
+    assert sink.recorder.missed == 0
+    return sink.news()
 
 
 def test_a_flight_holds_the_rows_of_the_recording_around_the_event_and_what_was_reported_of_them(bundle, tmp_path):
@@ -487,53 +493,43 @@ def test_no_flight_is_missed_however_fast_the_replay(bundle, tmp_path):
     assert [one.t_ns for one in news] == [c[1] for c in raised] and len(news) == len(starts)
 
 
-def test_a_disk_that_is_full_for_a_while_loses_its_flights_and_no_others(bundle, tmp_path):
-    recording, calls = pushed(), []
+def test_a_disk_that_is_full_for_a_while_loses_its_flights_and_no_others(bundle, tmp_path, monkeypatch):
+    calls, real = [], record_sink.write_flight
 
-    def write(flight):
+    def write(*arguments):
         calls.append(1)
         if len(calls) == 1:
             raise RecordingError("the disk is full")
-        return write_flight(flight, tmp_path, FlightSource.of(bundle, recording))
+        return real(*arguments)
 
-    recorder = _core.FlightRecorder(2, 1_000_000, 1.0, 0.5, False)
-    with FlightWriter(recorder, write) as writer:
-        replay(_core.Monitor(bundle), recording, recorder, 0.8, 0.5, each=lambda chunk: writer.catch_up())
-    first, second = writer.news()
+    monkeypatch.setattr(record_sink, "write_flight", write)
+    first, second = flown(bundle, pushed(), tmp_path, acknowledge_after_s=0.8)
     assert (first.path, first.error) == (None, "the disk is full")
     assert second.path.exists() and second.error is None
 
 
 def test_a_replay_waits_for_a_slow_disk_before_memory_fills(bundle, tmp_path, monkeypatch):
-    monkeypatch.setattr("tauext.monitor.flight_files.MOST_WAITING", 1)
     starts = np.arange(1.0, 6.0, 0.8)
     many = pushed(seconds=7.0, pushes=tuple((float(s), 0, 9.0) for s in starts), length_s=0.1)
-    recorder = _core.FlightRecorder(2, 1_000_000, 0.2, 0.1, False)
-    written = []
+    monkeypatch.setattr(record_sink, "write_flight", lambda *_: time.sleep(0.02) or tmp_path)
+    sink, waiting = flight_sink(bundle, many, tmp_path, 0.2, 0.1, most_waiting=1), []
 
-    def write(flight):
-        time.sleep(0.02)
-        written.append(int(flight["event"].t_ns))
-        return tmp_path
+    def each(chunk):
+        sink.verdict(chunk)
+        waiting.append(sink.worker._waiting.qsize())
 
-    with FlightWriter(recorder, write) as writer:
-        waiting = []
-
-        def each(chunk):
-            writer.catch_up()
-            waiting.append(writer.waiting)
-
-        replay(_core.Monitor(bundle), many, recorder, 0.3, 0.1, each=each)
-        assert max(waiting) <= 1
-    assert len(written) == len(starts) == len(writer.news())
+    replay(_core.Monitor(bundle), many, sink.recorder, 0.3, 0.1, each=each)
+    sink.close()
+    assert max(waiting) <= 1 and len(sink.news()) == len(starts)
 
 
-def test_a_mistake_in_the_writing_is_not_swallowed(bundle):
-    recorder = _core.FlightRecorder(2, 1_000_000, 1.0, 0.5, False)
+def test_a_mistake_in_the_writing_is_not_swallowed(bundle, tmp_path, monkeypatch):
+    monkeypatch.setattr(record_sink, "write_flight", lambda *_: 1 / 0)
+    sink = flight_sink(bundle, pushed(), tmp_path)
+    replay(_core.Monitor(bundle), pushed(), sink.recorder, 0.8, 0.5, each=sink.verdict)
     with pytest.raises(ZeroDivisionError):
-        with FlightWriter(recorder, lambda flight: 1 / 0) as writer:
-            replay(_core.Monitor(bundle), pushed(), recorder, 0.8, 0.5, each=lambda chunk: writer.catch_up())
-    errors = [one.error for one in writer.news()]
+        sink.close()
+    errors = [one.error for one in sink.news()]
     assert len(errors) > 1 and set(errors) == {"ZeroDivisionError: division by zero"}  # reported at once, each flight
 
 

@@ -234,7 +234,8 @@ def test_a_full_disk_confirms_nothing(tmp_path, monkeypatch):
             assert obey("touched", one.steering, "test") == (
                 "error: touched: not stored: No space left on device; please answer again"
             )
-        assert one.keeper.unanswered and not one.loop._answered  # the alarm stands, and is still asked about
+        assert one.keeper.unanswered  # the alarm stands, and is still asked about
+        assert not one.loop._acknowledgement.answered
         assert [label.answer for label in read_labels(one.folder.path)] == ["unanswered"]
         assert obey("touched", one.steering, "test") == "ok"
     assert [label.answer for label in read_labels(one.folder.path)] == ["touched"]

@@ -238,8 +238,6 @@ def forget(stream: Any) -> None:
 
 # --- Messages of the parser of options, in one line and without the names of its types.
 
-INDENT = 8
-"""The parser's box indents the help of an option by so many blanks, and the option by fewer."""
 LEFT_OUT = ("Argument helptext", "For full helptext", "Got errors", "Invalid choice")
 """Beginnings of the box's sections that the line leaves out."""
 NO_TYPE = r"Error parsing (\S+): no type matching"
@@ -285,7 +283,7 @@ def in_one_line(box: str) -> str:
         inside = line.strip("│|")
         if not inside.strip(" ─-") or line.startswith(("╭", "╰", "+")):
             sections.append([])
-        elif len(inside) - len(inside.lstrip()) < INDENT:
+        elif len(inside) - len(inside.lstrip()) < 8:  # the box indents options by fewer blanks than their help
             sections[-1].append(inside.strip())
     messages = [" ".join(section) for section in sections if section and not section[0].startswith(LEFT_OUT)]
     return "; ".join(map(in_plain_words, messages)) or "the options are invalid"

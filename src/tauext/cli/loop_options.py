@@ -36,7 +36,9 @@ class FlightOptions:
     def settings(self) -> FlightSettings | None:
         from tauext.monitor.flight_files import FlightSettings
 
-        return self.flights and FlightSettings(self.flights, self.before_s, self.after_s, self.contacts)
+        if self.flights is None:
+            return None
+        return FlightSettings(self.flights, self.before_s, self.after_s, self.contacts)
 
 
 KINDS = sink_kinds()

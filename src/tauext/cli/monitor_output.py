@@ -23,14 +23,6 @@ from tauext.monitor.source import SourceCounts
 # --- Output beside the loop: a terminal that draws, or a pipe without a reader, delays no sample.
 
 
-MOST_WAITING = 1000
-"""Waiting outputs above which optional ones are dropped: twenty seconds of chunks."""
-MOST_BEHIND = 4
-"""Outputs of a replay that wait, of a second each."""
-END_S = 5.0
-"""Time that a reader has at the end for the outputs that still wait, [s]."""
-
-
 @contextmanager
 def output_thread(failed: Callable[[], object], patient: bool = False) -> Iterator[BackgroundWorker]:
     """A thread for output, whose first error is raised at the end.
@@ -39,13 +31,14 @@ def output_thread(failed: Callable[[], object], patient: bool = False) -> Iterat
         failed: called after that error.
         patient: see BackgroundWorker.
     """
-    worker = BackgroundWorker("output", MOST_BEHIND if patient else MOST_WAITING, failed)
+    # Outputs that may wait: of a replay four, of a second each; else twenty seconds of chunks.
+    worker = BackgroundWorker("output", 4 if patient else 1000, failed)
     worker.patient = patient
     worker.start()
     try:
         yield worker
     finally:
-        worker.end(END_S)
+        worker.end(5.0)  # time for a reader to take the outputs that still wait
     if worker.error is not None:
         raise worker.error
 
@@ -60,8 +53,6 @@ def expect_nothing_lost(sinks: Sequence[Losing]) -> None:
 # --- Reports of the loop, printed in another thread.
 
 
-QUIET_S = 10
-"""Between two notes that nothing has come yet."""
 CHUNK_S = 0.02
 """Time of a chunk of samples, short enough for viewers."""
 
@@ -112,7 +103,7 @@ class OutputSink:
 
     def every_second(self, report: LoopReport) -> None:
         if not self._seen:
-            if self._silent_s % QUIET_S == 0:
+            if self._silent_s % 10 == 0:
                 self.note("no sample yet")
             self._silent_s += 1
         self.monitored = report.monitored

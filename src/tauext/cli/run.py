@@ -34,11 +34,6 @@ if TYPE_CHECKING:
     from tauext.monitor.replay import Tally
     from tauext.monitor.sink import AddedSink
 
-BLOCK_S = 1.0
-"""Samples that are judged at once, as fast as possible, [s]."""
-NEVER_S = 1e6
-"""Silence of a recording that counts as a missing sample, [s]: a gap is found by the stamp of the sample after it."""
-
 
 @dataclass(frozen=True)
 class RunSettings:
@@ -216,14 +211,15 @@ def replay_one(
     q, _ = turns.rows(recording.t_ns, recording.q)
     if q is not recording.q:
         recording = replace(recording, q=q)
-    block_s = chunk_s = BLOCK_S if settings.speed is None else CHUNK_S * settings.speed
+    block_s = chunk_s = 1.0 if settings.speed is None else CHUNK_S * settings.speed
     flights = recorder = None
     if (kept := settings.flights) is not None:
         recorder = kept.recorder(bundle)
         flights = FlightSink(kept.folder, bundle, recorder, FlightSource.of(bundle, recording))
         block_s = min(block_s, max(kept.after_s, CHUNK_S))
+    never_s = 1e6  # a gap is found by the stamp of the sample after it
     in_loop = LoopSettings(
-        settings.own_rate, NEVER_S, settings.acknowledge_after_s, wrench=settings.wrench, block_s=block_s
+        settings.own_rate, never_s, settings.acknowledge_after_s, wrench=settings.wrench, block_s=block_s
     )
     source, sinks = ReplaySource(recording, settings.speed, is_made=True), [*filter(None, [flights]), *settings.sinks]
     loop = Loop(bundle, source, sinks, None, None, recorder, in_loop, phases=settings.phases, loads=settings.loads)

@@ -11,8 +11,6 @@ import numpy as np
 
 
 BINS_PER_OCTAVE = 64
-OCTAVES = 40
-"""Number of bins, up to 2^40 ns or 18 minutes; longer times count in the last bin and in max."""
 
 
 class Latencies:
@@ -20,7 +18,7 @@ class Latencies:
 
     def __init__(self) -> None:
         self.count, self.max_ns = 0, 0
-        self._bins = [0] * (BINS_PER_OCTAVE * OCTAVES)
+        self._bins = [0] * (BINS_PER_OCTAVE * 40)  # up to 2^40 ns or 18 minutes; longer times count in the last bin
 
     def add(self, ns: int) -> None:
         """Count one time, [ns]; negative ones count as 1 ns."""

@@ -14,11 +14,11 @@ from typing import Protocol, cast
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import COLLISION, OK
+from tauext.bundle.estimates import OK
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
 from tauext.monitor.changes import WeighChange
-from tauext.monitor.episode import EpisodeFinder
+from tauext.monitor.episode import Acknowledgement, EpisodeFinder
 from tauext.monitor.latency import Latencies, ask_for_real_time
 from tauext.monitor.loads import Expected, TimedLoad
 from tauext.monitor.monitored_time import LATE_S, Monitored, MonitoredTime
@@ -41,10 +41,10 @@ from tauext.monitor.source import (
     Commanded,
     CountedTime,
     Recorded,
-    ServoStage,
     Source,
     SourceSettings,
     blocks_of,
+    servo_stage,
     settings_of,
 )
 from tauext.monitor.touch_place import PlaceFinder
@@ -69,11 +69,8 @@ def chunk_of(verdicts: Sequence[Verdict]) -> Chunk:
 # --- The loop. Sinks and reactions of a live arm never delay the monitor.
 
 
-BLOCK_S = 0.1
 IDLE_S = 0.1
 """Interval of checks for requests while no sample comes."""
-SWITCH_S = 0.0005
-"""Switch interval of the interpreter's threads, [s]; Python's default of 5 ms is five samples."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +92,7 @@ class LoopSettings:
     """Real-time priority of these threads and processes."""
     wrench: str | None = None
     """Frame at which the force of a touch is also estimated; None: none."""
-    block_s: float = BLOCK_S
+    block_s: float = 0.1
     """Longest time of the samples that are judged at once, [s]: requests are executed between two blocks. 0: a sample
     at a time."""
 
@@ -139,6 +136,20 @@ class Loop:
     The control of the loop (use_profile, acknowledge, resume, set_load, weigh, stop) may be called by any thread.
     """
 
+    supply: BundleSupply | None = None
+    """What brings other bundles; set it before run()."""
+    missing = samples = 0
+    monitored = Monitored()
+    """Share of the time in which the arm was monitored, once a second."""
+    profile: Profile | None = None
+    """The active profile."""
+    stopped = False
+    """Whether a request ended the loop, not its source or its duration."""
+    last_t_ns: int | None = None
+    """Stamp of the last sample, [ns]; None: none came yet."""
+    _received_ns = 0
+    """Its reception, by time.monotonic_ns()."""
+
     def __init__(
         self,
         bundle: _core.Bundle | None,
@@ -164,31 +175,18 @@ class Loop:
         if bundle is None and arm is None:
             raise ConfigError("a loop needs a bundle, or an arm that waits for one")
         self._arm = arm or settings_of(cast(_core.Bundle, bundle))
+        self.joints, self.bundle, self.settings = self._arm.joints, bundle, settings
         self.monitor: AnyMonitor = NoMonitor(self._arm) if bundle is None else _core.Monitor(bundle, settings.own_rate)
-        self.joints = self._arm.joints
         self.sinks = list(sinks)
         """Sinks in the order in which they receive verdicts; add before run()."""
         self.note: Callable[[str], None] = lambda text: None
         """Called in the loop's thread with messages for the user; set it and `switched` before run()."""
         self.switched: Callable[[ProfileSwitch], None] = lambda switch: None
         """Called in the loop's thread with every new profile."""
-        self.tick = Latencies()
-        """Time from a sample's reception until every sink has received its verdict."""
-        self.missing = self.samples = 0
-        self.monitored = Monitored()
-        """Share of the time in which the arm was monitored, once a second."""
-        self.supply: BundleSupply | None = None
-        """What brings other bundles; set it before run()."""
-        self.bundle, self.settings = bundle, settings
-        self._source, self._reactions = source, reactions or Reactions()
-        self._reacts = reactions is not None
-        self._turns = Turns(self._arm, bundle)
-        servo = self._arm.servo
-        self._recorded, self._loads = source if isinstance(source, Recorded) else None, loads
-        is_made = self._recorded is not None and self._recorded.is_made
-        self._servo = ServoStage(servo) if servo is not None and servo.on and not is_made else None
+        self._source, self._recorded, self._loads = source, source if isinstance(source, Recorded) else None, loads
+        self._turns, self._servo = Turns(self._arm, bundle), servo_stage(self._arm, self._recorded)
         self._profiles, self._recorder = profiles, recorder
-        self._profile: Profile | None = None
+        self._reactions, self._reacts = reactions or Reactions(), reactions is not None
         self._requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         """Requests that the loop's thread executes before the next sample."""
         places = None if bundle is None else PlaceFinder(bundle, settings.wrench)
@@ -197,22 +195,15 @@ class Loop:
         self._changes = EventStream(self.monitor, places, phases)
         self._facts = {"bundle": "" if bundle is None else bundle.name, "source": source.name}
         self._events, self._episodes = EventFinder(self.joints, self._facts), EpisodeFinder(self._facts["bundle"])
-        self._time = CountedTime(self._arm.period_ns)
-        self._due_ns: int | None = None
-        """Counted time at which the alarm that stands is acknowledged; None: it is not."""
-        self._jumps, self._timed = 0, set[str]()
-        """Jumps of the stamps so far; what was requested for a time since the last one, for the note at the next."""
-        self._answered = 0
-        """Number of the answered alarm that is acknowledged once its touch is over; 0: none."""
-        self.last_t_ns: int | None = None
-        """Stamp of the last sample, [ns]; None: none came yet."""
-        self._received_ns = 0
-        """Its reception, by time.monotonic_ns()."""
-        self._stopped = False
+        self._acknowledgement = Acknowledgement(settings.acknowledge_after_s)
+        self._time, self._jumps = CountedTime(self._arm.period_ns), 0
+        self._timed = set[str]()
+        """What was requested for a time since the last jump of the stamps, for the note at the next one."""
         period_s = self.monitor.sample_period_ns * 1e-9
         self._most_rows = max(1, round(settings.block_s / period_s))
         self._missing_after_s = settings.missing_after_s or period_s + max(period_s, 0.002)
-        self._second = Latencies()
+        self.tick, self._second = Latencies(), Latencies()
+        """Time from a sample's reception until every sink has received its verdict, from the start and in a second."""
         self._watched = MonitoredTime(self._missing_after_s)
 
     # Control: any thread; see Control.
@@ -235,7 +226,7 @@ class Loop:
         self._requests.put(lambda: self._carry(load, ago_s, by))
 
     def expect_load(self, expected: Expected, by: str) -> None:
-        if reason := self._why_not(expected):
+        if reason := self.monitor.why_not_expected(expected.seconds, expected.at_most):
             raise ConfigError(reason)
         self._requests.put(lambda: self._expect(expected, by))
 
@@ -247,9 +238,6 @@ class Loop:
         if contact is not None and (reason := self._real.why_no_contact(contact, announced.seconds)):
             raise ConfigError(reason)
         self._requests.put(lambda: self._declare(announced, contact, by))
-
-    def _why_not(self, expected: Expected) -> str:
-        return self.monitor.why_not_expected(expected.seconds, expected.at_most)
 
     def why_refused(self, monitor: AnyMonitor, places: PlaceFinder | None) -> str:
         """Reason why profiles or reactions do not work with this monitor; empty: they do."""
@@ -314,7 +302,7 @@ class Loop:
         last = self.monitor.last
         if last.alarm != _core.Alarm.none:
             self.monitor.alarms = number = max(alarms, 1)
-            self._answered = number if is_answered else 0
+            self._acknowledgement.answered = number if is_answered else 0
             self._changes.stand(last.alarm.value, number)
             self._episodes.stand(number, last.alarm.value, last.alarm_joint)
         return ""
@@ -323,16 +311,6 @@ class Loop:
     def alarms(self) -> int:
         """Number of alarms so far, which is the newest one's number."""
         return self.monitor.alarms
-
-    @property
-    def profile(self) -> Profile | None:
-        """The active profile."""
-        return self._profile
-
-    @property
-    def stopped(self) -> bool:
-        """Whether a request ended the loop, not its source or its duration."""
-        return self._stopped
 
     # The loop: one thread.
 
@@ -359,7 +337,7 @@ class Loop:
             for text in ask_for_real_time(self.settings.core, self.settings.priority):
                 self.note(text)
             self._source.open(self._arm)
-            sys.setswitchinterval(SWITCH_S)
+            sys.setswitchinterval(0.0005)  # of the interpreter's threads; Python's default of 5 ms is five samples
             gc.collect()
             gc.freeze()  # excludes present objects from collections during the loop
             self._run()
@@ -397,7 +375,7 @@ class Loop:
         while not self._source.ended:
             while not self._requests.empty():
                 self._do(self._requests.get())
-            if self._stopped:
+            if self.stopped:
                 return
             now = time.monotonic()
             taken = self.samples
@@ -460,16 +438,9 @@ class Loop:
             begin = end
 
     def _rows_at_once(self, t_ns: np.ndarray, times_ns: np.ndarray, is_sized: bool) -> int:
-        """Number of these samples, at least one, before any of which nothing is to be done; do what is due before them.
-
-        An answered alarm is acknowledged with the first sample after its touch.
-        """
+        """Do what is due before these samples; number of them, at least one, before any of which nothing is due."""
         next_ns = self._changes.act_when_due(self.samples, int(t_ns[0]))
-        rows = 1 if self._answered or not is_sized else len(times_ns)
-        after_s = self.settings.acknowledge_after_s
-        if rows > 1 and after_s is not None:
-            due_ns = times_ns[0] + round(after_s * 1e9) if self._due_ns is None else self._due_ns
-            rows = max(1, min(rows, int(np.searchsorted(times_ns, due_ns))))
+        rows = self._acknowledgement.rows(times_ns) if is_sized else 1
         if rows > 1 and next_ns is not None:
             rows = min([rows, *(1 + np.flatnonzero(t_ns[1:rows] >= next_ns)[:1]).tolist()])
         return rows
@@ -537,22 +508,18 @@ class Loop:
         q, dq = (None, None) if block is None else (block.q, block.dq)
         changes = self._changes.find(self.samples, t_ns, estimates, q, dq)
         news = self._episodes.find(self.samples, t_ns, estimates, changes, q)
-        if any(one.ended for one in news):
-            self._due_ns = None
+        self._acknowledgement.follow(news, times_ns, estimates["alarm"])
         verdict = Verdict(self.samples, t_ns, block, estimates, tuple(changes), self._episodes.standing, news, core_s)
         if self._reacts:
             for event in self._events.find(verdict):
                 self._reactions.put(event)
-        after_s = self.settings.acknowledge_after_s
-        if after_s is not None and self._due_ns is None and estimates["alarm"][-1] == COLLISION:
-            self._due_ns = int(times_ns[(estimates["alarm"] == COLLISION).argmax()]) + round(after_s * 1e9)
         self._each_sink(lambda sink: sink.verdict(verdict))
 
     def _report(self, rate_hz: float) -> None:
         """Send the report of the last second."""
         quantiles = (self._second.quantile_us(0.5), self._second.quantile_us(0.99))
         longest = self._second.max_ns * 1e-3 if self._second.count else math.nan
-        name = self._profile.name if self._profile else ""
+        name = self.profile.name if self.profile else ""
         counts = replace(self._source.counts)
         now_ns = time.monotonic_ns()
         times = (*quantiles, longest)
@@ -583,9 +550,9 @@ class Loop:
     # Requests.
 
     def _stop(self, by: str) -> None:
-        if not self._stopped:
+        if not self.stopped:
             self.note(f"stopped by {by}")
-        self._stopped = True
+        self.stopped = True
 
     def _settle(self, alarm: int, answer: str) -> None:
         if alarm != self._standing:
@@ -593,13 +560,13 @@ class Loop:
         if self.monitor.last.touch_over:
             self._end_alarm(self.monitor.acknowledge, f"{answer}: acknowledged")
         else:  # the monitor would raise another alarm for the same touch
-            self._answered = alarm
+            self._acknowledgement.answered = alarm
             self.note(f"{answer}: acknowledged once the touch is over")
 
     def _switch(self, name: str, by: str) -> None:
         assert self._profiles is not None  # or use_profile() had refused it
-        old, new = self._profile, self._profiles.named(name)
-        self._profile = new
+        old, new = self.profile, self._profiles.named(name)
+        self.profile = new
         self.monitor.set_limit_factors(new.collision, new.contact)
         if new.load is not None:
             self._carry(new.load, None, f"profile {name}")
@@ -673,17 +640,12 @@ class Loop:
 
     def _acknowledge_when_due(self, now_ns: int) -> None:
         """now_ns: counted time of the next sample."""
-        if self._answered and self._answered != self._standing:  # it has ended by itself
-            self._answered, self._due_ns = 0, None
-        after_s = self.settings.acknowledge_after_s
-        if self._answered and self._due_ns is None and after_s is not None:  # a contact that lasts
-            self._due_ns = now_ns + round(after_s * 1e9)
-        is_due = self._due_ns is not None and now_ns >= self._due_ns
-        if is_due or (self._answered and self.monitor.last.touch_over):
+        one = self._acknowledgement
+        if one.is_due(now_ns, self._standing) or (one.answered and self.monitor.last.touch_over):
             self._end_alarm(self.monitor.acknowledge)
 
     def _end_alarm(self, end: Callable[[], None], note: str = "") -> None:
         if note:
             self.note(note)
-        self._due_ns, self._answered = None, 0
+        self._acknowledgement.end()
         self._changes.end_alarm(end, self.samples, self._last_ns)

@@ -15,7 +15,6 @@ from tauext.config import Rule, within
 from tauext.errors import ConfigError
 from tauext.files.typed_table import TableName, read_table, table_of_line
 
-AXES = {"frame": WrenchAxes.frame, "base": WrenchAxes.base}
 Vector = tuple[float, float, float]
 LARGEST = 1e6
 """Largest force, moment and time; a larger one is a mistake of units."""
@@ -58,7 +57,7 @@ class ContactTable:
     @cached_property
     def contact(self) -> DeclaredContact:
         values = {one.name: getattr(self, one.name) for one in fields(ContactTable)}
-        return DeclaredContact(**values | {"axes": AXES[self.axes], "box": getattr(self, "box", None)})
+        return DeclaredContact(**values | {"axes": getattr(WrenchAxes, self.axes), "box": getattr(self, "box", None)})
 
 
 @dataclass(frozen=True)

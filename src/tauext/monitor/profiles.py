@@ -14,7 +14,6 @@ from tauext.errors import ConfigError
 from tauext.files.typed_table import expect_known, read_table, value_of
 from tauext.monitor.loads import Expected, LoadTable, load_of_text
 
-LEVELS = ("contact", "collision")
 LOWEST, HIGHEST = 0.1, 10.0
 """Bounds of factors in the core."""
 OTHERS = "others"
@@ -99,7 +98,9 @@ def _profile(name: str, content: Any, where: str, bounds: Bounds, joints: Sequen
         load = load_of_text(load) if isinstance(load, str) else load
     except ConfigError as error:
         raise ConfigError(f"{where} {error}") from error
-    contact, collision = (_factors(getattr(table, level), where, level, bounds, joints) for level in LEVELS)
+    contact, collision = (
+        _factors(getattr(table, level), where, level, bounds, joints) for level in ("contact", "collision")
+    )
     return Profile(name, contact, collision, load, table.expect)
 
 

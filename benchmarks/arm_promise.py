@@ -117,11 +117,11 @@ def judged(folder: Path) -> dict:
 
 def share_of_hits(one: EvaluatedBundle) -> float:
     """Share of the added hits that raise an alarm, with equal weight for each link."""
-    assert one.injected is not None
-    places = sorted({curve.place for curve in one.injected.curves})
+    assert one.forces.added is not None
+    places = sorted({curve.place for curve in one.forces.added.curves})
     shares = []
     for place in places:
-        curves = [curve for curve in one.injected.curves if curve.place == place]
+        curves = [curve for curve in one.forces.added.curves if curve.place == place]
         shares.append(sum(curve.latched for curve in curves) / sum(curve.events for curve in curves))
     return float(np.mean(shares))
 

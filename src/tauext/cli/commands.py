@@ -38,7 +38,7 @@ class Command:
     commands: Mapping[str, Command] = field(default_factory=dict)
     """Commands of a group, which has no function."""
     title: str = "Plug-ins"
-    """Of the part of the overview in which a plug-in's command stands."""
+    """Title of the part of the overview that lists a plug-in's command."""
     folders: Folders | None = None
     """None: it makes no folders that other commands show."""
 

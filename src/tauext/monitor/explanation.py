@@ -314,12 +314,12 @@ def behind_the_event(flight: Flight, kept: np.ndarray, source: FlightSource) -> 
     chain, row = source.bundle, flight["event_row"]
     observer = chain.observer
     recording = as_recording(flight, kept, "flight", source, {})
-    place = np.flatnonzero(kept)
+    rows = np.flatnonzero(kept)
     t_ns = flight["t_ns"][kept]
     slowest_per_s = min(observer.gain_per_s, observer.low_pass_per_s or observer.gain_per_s)
     settled_ns = flight["event"].t_ns + 5 / slowest_per_s * 1e9  # r has then settled to 99 % of a step
     ends = [changed for changed, _ in carried(flight)[1:] if changed > row]
-    usable = (t_ns >= settled_ns) & (flight["health"][kept] == OK) & (place < min(ends, default=len(kept)))
+    usable = (t_ns >= settled_ns) & (flight["health"][kept] == OK) & (rows < min(ends, default=len(kept)))
     # After a gap of more than a period of the chain r restarts.
     gaps = np.flatnonzero(np.diff(t_ns) > 1.5 * observer.sample_period_ns * observer.network_stride)
     if len(gaps):

@@ -61,13 +61,13 @@ class FlightCount:
     """Faults without a flight, since one with their causes was written in the minute before."""
 
     def add(self, news: FlightNews) -> None:
-        """Count one more."""
+        """Count one more flight."""
         self.written += news.error is None
         self.failed += news.error is not None
         self.error = self.error or news.error or ""
 
     def merge(self, other: FlightCount) -> None:
-        """Add another recording's."""
+        """Add the counts of another recording."""
         self.repeated += other.repeated
         self.written, self.failed = self.written + other.written, self.failed + other.failed
         self.missed += other.missed

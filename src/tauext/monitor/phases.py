@@ -168,7 +168,7 @@ class Phases:
         return [(contact, from_ns, seconds) for _, contact, from_ns, seconds in self.scheduled(start_ns)]
 
     def scheduled(self, start_ns: int) -> list[tuple[str, DeclaredContact, int, float]]:
-        """The same with the phases' names."""
+        """Contacts as timed() returns them, with the names of their phases."""
 
         def each() -> Iterator[tuple[str, DeclaredContact, int, float]]:
             for phase in self.by_name.values():

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made_bundles import JOINTS, pushed, taking_amperes, watching_bundle
-from made_live import AllAtOnce, Clock, Keeper, Replayed, ScriptedSource, replay, samples_of
+from made_live import AllAtOnce, Clock, Keeper, Replayed, ScriptedSource, samples_of
 from made_results import run_command
 
 from tauext import _core
@@ -59,24 +59,6 @@ def joined(verdicts) -> dict[str, np.ndarray]:
 
 
 # What it says.
-
-
-@pytest.mark.parametrize("acknowledge_after_s", [pytest.param(None, marks=pytest.mark.slow), 0.1])
-def test_a_live_loop_says_what_a_replay_says(bundle, acknowledge_after_s):
-    recording = pushed()
-    loop, keeper = looped(bundle, ReplaySource(recording, None), acknowledge_after_s=acknowledge_after_s)
-    chunks = list(replay(_core.Monitor(bundle), recording, acknowledge_after_s=acknowledge_after_s))
-    expected = [change for chunk in chunks for change in chunk.changes]
-
-    def plain(changes):  # an acknowledgement has no sample of its own: here the last one's stamp, there the next one's
-        return [repr(c) if not getattr(c, "acknowledged", False) else (c.row, c.was) for c in changes]
-
-    assert plain(keeper.changes) == plain(expected)
-    said = joined(keeper.verdicts)
-    for key, values in said.items():
-        np.testing.assert_array_equal(values, np.concatenate([chunk.estimates[key] for chunk in chunks]), err_msg=key)
-    assert [v.row for v in keeper.verdicts] == list(range(recording.samples))
-    assert (loop.samples, loop.missing, loop.tick.count, keeper.closed) == (6000, 0, 6000, 1)
 
 
 class InBlocks(AllAtOnce):

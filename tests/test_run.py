@@ -153,17 +153,6 @@ def test_an_acknowledged_alarm_whose_cause_lasts_is_raised_again_at_the_same_sam
     assert np.diff(raised[:4]).tolist() == [250, 250, 250]
 
 
-def test_what_is_reported_of_every_sample_does_not_depend_on_the_chunks(bundle):
-    def joined(chunk_s):
-        chunks = list(replay(_core.Monitor(bundle), faulty(), acknowledge_after_s=0.2, chunk_s=chunk_s))
-        assert [c.first_row for c in chunks] == np.cumsum([0] + [len(c.t_ns) for c in chunks[:-1]]).tolist()
-        return {key: np.concatenate([c.estimates[key] for c in chunks]) for key in chunks[0].estimates}
-
-    one, other = joined(0.013), joined(3.0)
-    for key, values in one.items():
-        np.testing.assert_array_equal(values, other[key], err_msg=key)
-
-
 def test_samples_come_when_their_time_has_come_by_the_clock():
     now, slept = [50.0], []
 
@@ -365,19 +354,6 @@ def test_a_limit_that_moves_is_reported_with_the_standard_error(bundle, tmp_path
     assert status[0] == [None, None] and status[-1] == said["sigma_nm"][5000].tolist()
 
 
-def test_a_contact_is_explained_with_its_own_limit_where_limits_move(tmp_path):
-    moving = with_error_scale(watching_bundle(network=False))
-    soft = pushed(pushes=((2.0, 1, 1.5 * LIMIT_NM),), length_s=1.0)
-    said = _core.Monitor(moving).run(soft.t_ns, soft.q, soft.dq, soft.tau)
-    (one, *_) = flown(moving, soft, tmp_path, contacts=True)
-    k = int(np.flatnonzero(said["alarm"] == 1)[0])
-    joint = int(said["alarm_joint"][k])
-    limit = said["limit_nm"][k, joint] / 2  # watching_bundle's contacts have half the limits of collisions
-    assert said["limit_scale"][k, joint] > 1.2
-    text = one.path.with_suffix(".txt").read_text()
-    assert f"{abs(said['tau_ext'][k, joint]) - limit:.3f} Nm over its contact limit of {limit:.3f} Nm" in text
-
-
 def test_a_near_stiction_limit_is_called_so(tmp_path):
     pushes = ((2.0, 0, 40.0),)
     dq = pushed(pushes=pushes).dq.copy()
@@ -564,12 +540,6 @@ def test_the_command_tells_events_and_a_summary_in_lines(place, capsys):
     assert "flights" not in out and "stood from" not in out
 
 
-def test_a_latched_collision_is_reported_to_hide_what_follows(place, capsys):
-    _, out, _ = run(capsys, place / "watching.tauext", place / "pushed.parquet")
-    assert re.search(r"the collision alarm lasted from 2\.0\d\d s to the end .*--acknowledge-after-s", out)
-    assert out.count("COLLISION") == 1
-
-
 def test_json_lines_are_what_the_slow_loop_found(place, capsys, bundle):
     options = ("--acknowledge-after-s", 0.5, "--json", "--status-hz", 40, "--flights", place / "flights")
     code, out, err = run(capsys, place / "watching.tauext", place / "pushed.parquet", *options)
@@ -624,16 +594,6 @@ def test_the_networks_own_rate_is_the_cores(place, capsys, bundle):
     out = run(capsys, place / "watching.tauext", place / "pushed.parquet", *options)[1]
     status = [e for e in map(json.loads, out.splitlines()) if e["event"] == "status"]
     assert [e["tau_ext_nm"] for e in status[125:]] == expected.tolist()
-
-
-def test_a_paced_run_says_the_same(place, capsys):
-    files = (place / "watching.tauext", place / "pushed.parquet")
-    fast, paced = (run(capsys, *files, "--json", *options)[1] for options in ((), ("--speed", 20)))
-
-    def events(out):
-        return [e for e in map(json.loads, out.splitlines()) if e["event"] in ("health", "alarm", "start")]
-
-    assert events(fast) == events(paced)
 
 
 def test_a_disk_error_is_reported_once_the_replay_goes_on_and_the_exit_code_is_2(place, capsys, monkeypatch):

@@ -370,7 +370,7 @@ def is_pending(content: Any) -> bool:
 
 def hits(bundle: EvaluatedBundle) -> float | None:
     """Share of the injected forces that are detected; None without any."""
-    curves = bundle.injected.curves if bundle.injected else ()
+    curves = bundle.forces.added.curves if bundle.forces.added else ()
     events = sum(one.events for one in curves)
     return round(sum(one.latched for one in curves) / events, 4) if events else None
 

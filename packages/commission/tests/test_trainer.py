@@ -480,7 +480,7 @@ def judged(false: int, seen: int, promised: float = 3.0, kept: bool = True, reje
         name="old",
         free_motion=SimpleNamespace(hours=1.0, false_collisions=false, promise_kept=kept, promised_per_hour=promised),
         rejected=SimpleNamespace(share=rejected, causes={"clock": rejected}),
-        injected=SimpleNamespace(curves=[SimpleNamespace(events=100, latched=seen)]),
+        forces=SimpleNamespace(added=SimpleNamespace(curves=[SimpleNamespace(events=100, latched=seen)])),
     )
 
 

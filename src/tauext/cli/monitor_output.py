@@ -69,11 +69,13 @@ class OutputSink:
         flights: FlightSink | None = None,
         remedy: str = "",
         chunk_s: float = CHUNK_S,
+        is_live: bool = True,
     ):
         """
         Args:
             remedy: what a person can do if samples come late or not at all.
             chunk_s: shortest chunk, in the time of the samples, [s].
+            is_live: False: of a recording, which has no time of its own to report.
         """
         period_ns = loop.monitor.sample_period_ns
         self.tally = Tally(loop.joints, period_ns, tuple(loop.monitor.estimate_units))
@@ -82,7 +84,7 @@ class OutputSink:
         self._reactions, self._flight_sink = reactions, flights
         self._most = max(1, round(chunk_s * 1e9 / period_ns))
         self._verdicts: list[Verdict] = []
-        self._seen, self._silent_s = False, 0
+        self._is_live, self._seen, self._silent_s = is_live, not is_live, 0
         self.monitored, self._news = Monitored(), MonitoredNews(remedy)
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
@@ -102,6 +104,9 @@ class OutputSink:
         self.tally.units = tuple(monitor.estimate_units)
 
     def every_second(self, report: LoopReport) -> None:
+        if not self._is_live:
+            self.print_news()
+            return
         if not self._seen:
             if self._silent_s % 10 == 0:
                 self.note("no sample yet")
@@ -150,21 +155,3 @@ class OutputSink:
         came = [one.block is not None for one in verdicts for _ in one.t_ns]
         self.tally.add(chunk, self._loop.monitor, came)
         self._worker.put(partial(self._output.chunk, chunk, self.tally), must=bool(chunk.changes))
-
-
-class ReplayOutput(OutputSink):
-    """The output of a recording, which has no time of its own to report."""
-
-    def __init__(
-        self,
-        output: Output,
-        worker: BackgroundWorker,
-        loop: Loop,
-        flights: FlightSink | None,
-        chunk_s: float,
-    ):
-        super().__init__(output, worker, loop, Reactions(), flights, chunk_s=chunk_s)
-        self._seen = True
-
-    def every_second(self, report: LoopReport) -> None:
-        self.print_news()

@@ -199,9 +199,10 @@ def replay_one(
     Raises:
         ConfigError: a sink lost samples.
     """
-    from tauext.cli.monitor_output import CHUNK_S, ReplayOutput, expect_nothing_lost, output_thread
+    from tauext.cli.monitor_output import CHUNK_S, OutputSink, expect_nothing_lost, output_thread
     from tauext.monitor.flight_files import FlightSource
     from tauext.monitor.loop import Loop, LoopSettings
+    from tauext.monitor.reactions import Reactions
     from tauext.monitor.record_sink import FlightSink
     from tauext.monitor.source import settings_of
     from tauext.monitor.turns import Turns
@@ -224,7 +225,7 @@ def replay_one(
     source, sinks = ReplaySource(recording, settings.speed, is_made=True), [*filter(None, [flights]), *settings.sinks]
     loop = Loop(bundle, source, sinks, None, None, recorder, in_loop, phases=settings.phases, loads=settings.loads)
     with output_thread(lambda: loop.stop("an output that cannot be written"), patient=True) as worker:
-        shown = ReplayOutput(output, worker, loop, flights, chunk_s)
+        shown = OutputSink(output, worker, loop, Reactions(), flights, chunk_s=chunk_s, is_live=False)
         loop.sinks.append(shown)
         loop.note = shown.note
         for text in turns.notes():

@@ -17,6 +17,7 @@ from tauext import _core
 from tauext.bundle.estimates import OK
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
+from tauext.monitor.cell_file import Profile, Profiles
 from tauext.monitor.changes import WeighChange
 from tauext.monitor.episode import Acknowledgement, EpisodeFinder
 from tauext.monitor.latency import Latencies, ask_for_real_time
@@ -24,7 +25,6 @@ from tauext.monitor.loads import Expected, TimedLoad
 from tauext.monitor.monitored_time import LATE_S, Monitored, MonitoredTime
 from tauext.monitor.no_monitor import NO_BUNDLE, AnyMonitor, NoMonitor
 from tauext.monitor.phases import Announced, Phases, bounds_words
-from tauext.monitor.profiles import Profile, Profiles
 from tauext.monitor.reactions import Reactions
 from tauext.monitor.replay import Chunk, EventStream
 from tauext.monitor.sink import (

@@ -13,10 +13,10 @@ from made_bundles import pushed
 
 from tauext import _core
 from tauext.monitor.episode import Episode
+from tauext.monitor.event_stream import Chunk, EventStream
 from tauext.monitor.loads import TimedLoad
 from tauext.monitor.loop import Loop, LoopSettings, chunk_of
 from tauext.monitor.phases import Phases
-from tauext.monitor.replay import Chunk, EventStream
 from tauext.monitor.sink import Verdict
 from tauext.monitor.source import Block, Sample, SourceCounts, SourceSettings
 from tauext.monitor.touch_place import PlaceFinder

@@ -28,11 +28,11 @@ from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import RecordingError
 from tauext.monitor import record_sink
 from tauext.monitor.changes import AlarmChange, ChangeFinder, HiddenCollision, TouchChange
+from tauext.monitor.event_stream import Tally
 from tauext.monitor.explanation import MEANING, explain
 from tauext.monitor.flight_content import event_kind, flight_rate_hz, rows_kept
 from tauext.monitor.flight_files import FlightCount, FlightSource
 from tauext.monitor.record_sink import FlightSink
-from tauext.monitor.replay import Tally
 from tauext.sources.replay import Pace, ReplaySource
 
 CAUSES = 12

@@ -23,9 +23,9 @@ from tauext.errors import ConfigError
 from tauext.monitor.cell_file import load_cell
 from tauext.monitor.changes import AlarmChange, DriftChange, HealthChange
 from tauext.monitor.control_lines import obey
+from tauext.monitor.event_stream import EventStream
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.no_monitor import NO_BUNDLE, NoMonitor
-from tauext.monitor.replay import EventStream
 from tauext.monitor.source import Block, Sample, settings_of
 
 QUIET_S = 0.5

@@ -11,12 +11,12 @@ from tauext.cli.json_lines import Output
 from tauext.cli.text_lines import Outcome
 from tauext.errors import ConfigError
 from tauext.monitor.background import BackgroundWorker
+from tauext.monitor.event_stream import Tally
 from tauext.monitor.flight_files import FlightCount
 from tauext.monitor.loop import Loop, ProfileSwitch, chunk_of
 from tauext.monitor.monitored_time import Monitored, MonitoredNews
 from tauext.monitor.reactions import Reactions
 from tauext.monitor.record_sink import FlightSink, RecordCount
-from tauext.monitor.replay import Tally
 from tauext.monitor.sink import Control, LoopReport, Losing, Verdict
 from tauext.monitor.source import SourceCounts
 

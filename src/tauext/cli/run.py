@@ -28,10 +28,10 @@ if TYPE_CHECKING:
     from tauext._core import Bundle
     from tauext.cli.json_lines import Output
     from tauext.data.recording import Recording
+    from tauext.monitor.event_stream import Tally
     from tauext.monitor.flight_files import FlightCount, FlightSettings
     from tauext.monitor.loads import TimedLoad
     from tauext.monitor.phases import Phases
-    from tauext.monitor.replay import Tally
     from tauext.monitor.sink import AddedSink
 
 
@@ -168,8 +168,8 @@ def replay_all(bundle: Bundle, recordings: tuple[Path, ...], settings: RunSettin
         ConfigError: some flights could not be written.
     """
     from tauext.data.recording_file import load_recording
+    from tauext.monitor.event_stream import Tally
     from tauext.monitor.flight_files import FlightCount
-    from tauext.monitor.replay import Tally
 
     total = Tally(
         tuple(link.joint_name for link in bundle.links), bundle.observer.sample_period_ns, tuple(bundle.estimate_units)

@@ -15,10 +15,10 @@ from tauext.bundle.units import not_monitored, short
 from tauext.cli.progress import PrintContext
 from tauext.data.recording import Recording
 from tauext.monitor.changes import Change, HealthChange, HiddenCollision
+from tauext.monitor.event_stream import Chunk, Tally
 from tauext.monitor.explanation import unseen_words
 from tauext.monitor.flight_files import FlightCount, FlightNews
 from tauext.monitor.monitored_time import Monitored, percent
-from tauext.monitor.replay import Chunk, Tally
 from tauext.progress import in_plain_letters
 
 if TYPE_CHECKING:

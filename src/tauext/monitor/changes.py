@@ -442,12 +442,12 @@ class WeighChange(Change):
 
     def facts(self, joints: tuple[str, ...]) -> dict[str, Any]:
         """The result of weighing, and the load to set."""
-        from tauext.monitor.weighing import load_facts as facts_of_found
+        from tauext.monitor.weighing import found_facts
 
         facts: dict[str, Any] = {"what": self.what, "by": self.by, "frame": self.frame, "found": None, "load": None}
         if self.found is not None:
             load = {**load_facts(self.found.load), "error_share": self.found.load.error_share}
-            facts |= {"found": facts_of_found(self.found), "load": load}
+            facts |= {"found": found_facts(self.found), "load": load}
         return facts
 
 

@@ -20,13 +20,13 @@ from tauext.errors import ConfigError, TauextError
 from tauext.monitor.cell_file import Profile, Profiles
 from tauext.monitor.changes import WeighChange
 from tauext.monitor.episode import Acknowledgement, EpisodeFinder
+from tauext.monitor.event_stream import Chunk, EventStream
 from tauext.monitor.latency import Latencies, ask_for_real_time
 from tauext.monitor.loads import Expected, TimedLoad
 from tauext.monitor.monitored_time import LATE_S, Monitored, MonitoredTime
 from tauext.monitor.no_monitor import NO_BUNDLE, AnyMonitor, NoMonitor
 from tauext.monitor.phases import Announced, Phases, bounds_words
 from tauext.monitor.reactions import Reactions
-from tauext.monitor.replay import Chunk, EventStream
 from tauext.monitor.sink import (
     USUAL_REACH_M,
     AnswerKind,

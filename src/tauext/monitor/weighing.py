@@ -360,7 +360,7 @@ def axis_name(direction: np.ndarray) -> str:
     return f"the direction ({', '.join(f'{c:.2f}' for c in turned)}) of the frame"
 
 
-def load_facts(found: LoadFound) -> dict:
+def found_facts(found: LoadFound) -> dict:
     """The result as plain JSON."""
     return {
         "verdict": found.verdict,

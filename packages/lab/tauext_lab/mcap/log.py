@@ -22,7 +22,7 @@ from tauext.errors import ConfigError
 from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import VERSION
 from tauext.monitor.changes import Change
-from tauext.monitor.replay import StatusClock
+from tauext.monitor.event_stream import StatusClock
 from tauext_lab.mcap.messages import LAST_NS, Template, cdr, definition, stamp
 from tauext_lab.mcap.viewer_urdf import viewer_urdf
 from tauext_lab.mcap.writer import McapWriter

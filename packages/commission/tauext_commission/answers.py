@@ -16,14 +16,14 @@ from dataclasses import replace
 from typing import Any
 
 from tauext import _core
-from tauext.bundle.history_file import read_events
-from tauext.data.labels import Label, label_of_alarm
+from tauext.data.labels import Label
 from tauext.errors import ConfigError
 from tauext.monitor.episode import Episode
 from tauext.monitor.flight_files import FlightNews
 from tauext.monitor.loop import Loop
 from tauext.monitor.sink import AnswerKind, Control, LoopReport, Verdict
 from tauext_commission.folder import CommissionFolder, wall
+from tauext_commission.history_file import label_of_alarm, read_events
 
 ASKING_S = 600.0
 """Time after which an alarm without an answer is not asked about any more, and is acknowledged."""

@@ -15,7 +15,17 @@ from typing import Any
 import numpy as np
 
 from tauext.bundle.bundle_file import load_bundle
-from tauext.bundle.history_file import (
+from tauext.data.dataset import FILE_NAME as SPLIT
+from tauext.data.dataset import Split
+from tauext.data.labels import EPOCH, Label
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording, stretch_of
+from tauext.errors import ConfigError, TauextError
+from tauext.files.plain_file import FORMAT, json_of, read_text
+from tauext.files.preflight import expect_folder
+from tauext.files.provenance import write_json
+from tauext_commission import journal
+from tauext_commission.history_file import (
     BUNDLES,
     COVERAGE,
     FACTS,
@@ -29,22 +39,13 @@ from tauext.bundle.history_file import (
     read_coverage,
     read_facts,
     read_history,
+    read_labels,
     received_s,
     unusable_words,
 )
-from tauext.data.dataset import FILE_NAME as SPLIT
-from tauext.data.dataset import Split
-from tauext.data.labels import EPOCH, Label, read_labels
-from tauext.data.labels import KIND as LABEL
-from tauext.data.recording import Recording
-from tauext.data.recording_file import load_recording, stretch_of
-from tauext.errors import ConfigError, TauextError
-from tauext.files import journal
-from tauext.files.journal_lines import is_bundle_name, is_whole, why_unusable
-from tauext.files.plain_file import FORMAT, json_of, read_text
-from tauext.files.preflight import expect_folder
-from tauext.files.provenance import write_json
-from tauext.files.synced_file import lock, reserve, set_aside, write_synced
+from tauext_commission.history_file import KIND as LABEL
+from tauext_commission.journal_lines import is_bundle_name, is_whole, why_unusable
+from tauext_commission.synced_file import lock, reserve, set_aside, write_synced
 
 # --- The index of recordings, from which split.json follows.
 

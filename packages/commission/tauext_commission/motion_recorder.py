@@ -18,20 +18,20 @@ from typing import Any
 
 import numpy as np
 
-from tauext.bundle.history_file import BUNDLES, NOTED, monitored_of
 from tauext.data.importers.raw import short_list
 from tauext.data.labels import Label
 from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
-from tauext.files import journal
 from tauext.files.plain_file import json_of, read_text
-from tauext.files.synced_file import reserve, set_aside, write_synced
 from tauext.monitor.flight_files import ENDINGS, PART
 from tauext.monitor.monitored_time import Monitored
 from tauext.monitor.record_sink import RecordSink
 from tauext.monitor.sink import Control, LoopReport
 from tauext.monitor.source import SourceSettings
+from tauext_commission import journal
 from tauext_commission.folder import NEAR_NS, CommissionFolder, Segment
+from tauext_commission.history_file import BUNDLES, NOTED, monitored_of
+from tauext_commission.synced_file import reserve, set_aside, write_synced
 
 # --- Coverage: what each joint has done so far, and what is missing in words.
 

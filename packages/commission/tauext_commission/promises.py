@@ -24,9 +24,7 @@ from tauext.data.labels import EPOCH, MARGINS, SUSPECT_MARGINS, Label
 from tauext.data.recording import Recording
 from tauext.errors import TauextError
 from tauext.files.checkpoint import Checkpoint
-from tauext.files.journal_lines import is_bundle_name
 from tauext.files.provenance import provenance
-from tauext.files.synced_file import write_synced
 from tauext.fit.tail import promised_per_hour
 from tauext.train.calibrate import write_calibrated
 from tauext.train.held_peaks import Peaks, collect_peaks
@@ -36,7 +34,9 @@ from tauext.train.promised_limits import no_freeze
 from tauext.train.suspects import Suspect, find_suspects, suspect_sentences, unusual_sentence
 from tauext_commission.folder import CommissionFolder, Segment, joined, up_to, wall
 from tauext_commission.history import Kept, kept_of
+from tauext_commission.journal_lines import is_bundle_name
 from tauext_commission.motion_recorder import LEARNED, segments_of_arm
+from tauext_commission.synced_file import write_synced
 
 THREADS = 1
 """Training must not take cores from the loop."""

@@ -21,15 +21,10 @@ from pathlib import Path
 from typing import Any, cast
 
 from tauext import _core
-from tauext.bundle.history_file import is_commissioned, lost_words, read_question, unusable_words
 from tauext.errors import AwayError, ConfigError, TauextError
 from tauext.files.atomic_write import atomic_write
-from tauext.files.journal import is_journal
-from tauext.files.journal_lines import is_bundle_name
-from tauext.files.synced_file import set_aside, write_reserved, write_synced
 from tauext.monitor.cell_file import Cell
 from tauext.monitor.control_lines import CONTROL, ControlSocket
-from tauext.monitor.exchange import Exchanged
 from tauext.monitor.latency import how_to_hold_the_rate
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.monitored_time import MINUTE_S, MonitoredNews
@@ -54,11 +49,16 @@ from tauext_commission.connect import (
     sentence_of,
     write_arm,
 )
+from tauext_commission.exchange import BundleExchange, Exchanged
 from tauext_commission.folder import CommissionFolder, is_bundle
+from tauext_commission.history_file import is_commissioned, lost_words, read_question, unusable_words
+from tauext_commission.journal import is_journal
+from tauext_commission.journal_lines import is_bundle_name
 from tauext_commission.lasting import LastingSource
 from tauext_commission.live import LiveSink
 from tauext_commission.motion_recorder import KeepSink, repaired
 from tauext_commission.processes import Child
+from tauext_commission.synced_file import set_aside, write_reserved, write_synced
 from tauext_commission.trainer import run_trainer
 
 Echo = Callable[[str], None]
@@ -362,7 +362,6 @@ class Commission:
         settings, self._arm = facts.settings, json.loads(json.dumps(as_data(facts)))
         bundle = self._first_bundle()
         record = KeepSink(folder, settings, source.name, options.disk_bytes, lambda: live.bundle or "")
-        record.note = self._note
         recorder = _core.FlightRecorder(len(settings.joints), settings.period_ns, BEFORE_S, AFTER_S, True)
         flights = FlightSink(folder.flights, bundle, recorder, source.name)
         reactions = start_reactions(options.cell(settings.joints).reactions, source, publishers)
@@ -371,7 +370,7 @@ class Commission:
         loop = Loop(bundle, source, sinks, reactions, None, recorder, chosen, arm=settings)
         newest = max([self._keeper.newest, *(one.id for one in folder.labels())])  # an event's line may be lost
         loop.note, loop.monitor.alarms = self._note, newest
-        loop.exchanged = self._exchanges.append
+        self._exchange = BundleExchange(loop, settings, self._exchanges.append)
         live.describe(settings.joints, settings.torque_units)
         if bundle is not None and isinstance(loop.monitor, _core.Monitor):
             for sink in (live, self._keeper):
@@ -470,8 +469,8 @@ class Commission:
         if self._live.bundle is None and not self._again and self._folder.facts.get("arm") != self._arm:
             self._again = True  # the training found that the torque has another unit
             return loop.stop("the training: the torque has another unit")
-        self._exchange(loop, time.monotonic())
-        self._keep_carried(loop, time.monotonic())
+        self._bring_bundle(self._exchange, time.monotonic())
+        self._keep_carried(self._exchange.carried, time.monotonic())
 
     def _watch_bundle(self) -> None:
         """Write the bundle that monitors again if another program has removed or changed its file."""
@@ -492,22 +491,22 @@ class Commission:
             write_bytes(path, self._bundle_file)
             self._folder.report(f"{path.name} was missing or damaged, and is written again as it monitors")
 
-    def _exchange(self, loop: Loop, now_s: float) -> None:
+    def _bring_bundle(self, exchange: BundleExchange, now_s: float) -> None:
         """Bring the bundle in charge into the loop, again if it could not take over; write what took over."""
         path, is_new = self._folder.active(), (now := self._folder.activation) != self._active
         if path is not None and (is_new or (now_s > self._again_s and path.stem != self._live.bundle)):
             self._active, self._again_s = now, math.inf
-            loop.exchange(path, lambda why: self._refused(path.stem, why))
+            exchange.bring(path, lambda why: self._refused(path.stem, why))
         while self._exchanges:
-            self._exchanged(self._exchanges[0])
+            self._note_exchange(self._exchanges[0])
             self._exchanges.popleft()  # a full disk leaves it
 
-    def _keep_carried(self, loop: Loop, now_s: float) -> None:
+    def _keep_carried(self, carried: bytes, now_s: float) -> None:
         """Write what the next process continues from now and then, and each second after an alarm rose or fell."""
         if self._live.alarm_number != self._carried_alarm:
             self._carried_alarm, self._alarm_s = self._live.alarm_number, now_s
         is_due = now_s > self._carried_s + CARRIED_S or now_s < self._alarm_s + SETTLED_S
-        if is_due and not self._folder.unwritable and (carried := loop.carried):
+        if is_due and not self._folder.unwritable and carried:
             self._carried_s = now_s
             write_bytes(self._folder.path / CARRIED, carried)
 
@@ -519,7 +518,7 @@ class Commission:
             if active is not None and active.stem == bundle:  # else a newer one has its turn
                 self._again_s = time.monotonic() + AGAIN_S
 
-    def _exchanged(self, done: Exchanged) -> None:
+    def _note_exchange(self, done: Exchanged) -> None:
         self._folder.save(running=done.bundle)
         replayed_s = done.replayed * self._arm["period_ns"] * 1e-9
         words = f"{done.bundle} monitors the arm now, after a replay of {replayed_s:.0f} s"

@@ -8,13 +8,13 @@ from pathlib import Path
 from unittest import mock
 from zlib import crc32
 
+from tauext_commission import journal
 from tauext_commission.folder import CommissionFolder
+from tauext_commission.history_file import read_question
 from tauext_commission.motion_recorder import KeepSink
 from tauext_lab.sim.arms import rig_arm
 
-from tauext.bundle.history_file import read_question
 from tauext.data.recording import Recording
-from tauext.files import journal
 from tauext.monitor.source import SourceSettings
 
 
@@ -50,8 +50,8 @@ def forge(path: Path, kind: str, content: dict) -> None:
 
     journal.read(path)  # with its rules
     with (
-        mock.patch("tauext.files.journal.why_unusable", lambda line: ""),
-        mock.patch("tauext.files.journal._line", line),
+        mock.patch("tauext_commission.journal.why_unusable", lambda line: ""),
+        mock.patch("tauext_commission.journal._line", line),
     ):
         journal.append(path, kind, content)
     journal._seen.clear()

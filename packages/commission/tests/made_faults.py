@@ -17,17 +17,17 @@ from unittest import mock
 
 import numpy as np
 from made_bundles import JOINTS, pushed, watching_bundle
+from tauext_commission import journal
 from tauext_commission.folder import CommissionFolder
+from tauext_commission.history_file import lost_words
 from tauext_commission.motion_recorder import KeepSink
 from tauext_commission.promises import CalibrationPeaks
 from tauext_commission.run import Commission, Options, run
 from tauext_commission.trainer import Trainer
 
-from tauext.bundle.history_file import lost_words
 from tauext.data.labels import Label
 from tauext.data.recording_file import save_recording
 from tauext.errors import TauextError
-from tauext.files import journal
 from tauext.monitor.control_lines import obey
 from tauext.monitor.source import SourceSettings
 

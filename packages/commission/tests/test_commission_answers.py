@@ -21,7 +21,9 @@ from made_bundles import JOINTS, pushed, watching_bundle
 from made_commission import words
 from made_live import ScriptedSource, samples_of
 from tauext_commission.answers import AlarmJournal, CurrentLoop
+from tauext_commission.exchange import Exchanged
 from tauext_commission.folder import CommissionFolder
+from tauext_commission.history_file import read_events, read_labels
 from tauext_commission.live import MOST_READERS, PAST_EVERY, Curves, LiveSink
 from tauext_commission.motion_recorder import KeepSink
 from tauext_commission.processes import Child
@@ -29,13 +31,11 @@ from tauext_commission.promises import put_suspects
 from tauext_commission.run import AGAIN_S, Commission
 
 from tauext.bundle.estimates import CONTACT, OK, STALE, rounded
-from tauext.bundle.history_file import read_events
-from tauext.data.labels import Label, read_labels
+from tauext.data.labels import Label
 from tauext.errors import ConfigError
 from tauext.monitor.changes import AlarmChange
 from tauext.monitor.control_lines import obey
 from tauext.monitor.episode import Episode, EpisodeFinder
-from tauext.monitor.exchange import Exchanged
 from tauext.monitor.flight_files import FlightNews
 from tauext.monitor.loop import Loop
 from tauext.monitor.record_sink import RecordCount
@@ -234,7 +234,8 @@ def test_a_full_disk_confirms_nothing(tmp_path, monkeypatch):
             assert obey("touched", one.steering, "test") == (
                 "error: touched: not stored: No space left on device; please answer again"
             )
-        assert one.keeper.unanswered and not one.loop._answered  # the alarm stands, and is still asked about
+        assert one.keeper.unanswered  # the alarm stands, and is still asked about
+        assert not one.loop._acknowledgement.answered
         assert [label.answer for label in read_labels(one.folder.path)] == ["unanswered"]
         assert obey("touched", one.steering, "test") == "ok"
     assert [label.answer for label in read_labels(one.folder.path)] == ["touched"]
@@ -315,18 +316,18 @@ def test_a_bundle_that_could_not_take_over_is_tried_again(tmp_path, monkeypatch)
     one._live, one._by, one._arm = SimpleNamespace(bundle="b0001"), "", {"period_ns": 10**6}
     one._active, one._again_s, one._why_refused, one._exchanges = 0, math.inf, ("", ""), deque()
     one._echo = lines.append
-    loop = SimpleNamespace(exchange=lambda path, done: asked.append((path.stem, done)))
+    loop = SimpleNamespace(bring=lambda path, done: asked.append((path.stem, done)))
     for name in ("b0001", "b0002"):
         (one._folder.bundles / f"{name}.tauext").touch()
     one._folder.activate("b0002", "a test", 0.0)
     now_s = time.monotonic()
-    one._exchange(loop, now_s)
+    one._bring_bundle(loop, now_s)
     for tries in (1, 2, 3):
         assert [name for name, _ in asked] == ["b0002"] * tries
         asked[-1][1]("b0002 stays out: a contact lasts")
-        one._exchange(loop, now_s + 0.5 * AGAIN_S)
+        one._bring_bundle(loop, now_s + 0.5 * AGAIN_S)
         assert len(asked) == tries
-        one._exchange(loop, now_s + 1.1 * AGAIN_S)
+        one._bring_bundle(loop, now_s + 1.1 * AGAIN_S)
     assert lines == ["b0002 does not take over: b0002 stays out: a contact lasts"]
     asked[-1][1]("")
     one._live.bundle = "b0002"
@@ -334,8 +335,8 @@ def test_a_bundle_that_could_not_take_over_is_tried_again(tmp_path, monkeypatch)
     with monkeypatch.context() as full:
         full.setattr(CommissionFolder, "save", lambda *_, **__: (_ for _ in ()).throw(OSError(28, "full")))
         with pytest.raises(OSError, match="full"):
-            one._exchange(loop, now_s)
-    one._exchange(loop, now_s + 5 * AGAIN_S)
+            one._bring_bundle(loop, now_s)
+    one._bring_bundle(loop, now_s + 5 * AGAIN_S)
     assert len(asked) == 4 and [line["kind"] for line in one._folder.history()] == ["activation", "exchange"]
 
 

@@ -17,12 +17,12 @@ from made_bundles import pushed, watching_bundle
 from tauext_commission.command import answer, keys
 from tauext_commission.connect import as_data
 from tauext_commission.folder import CommissionFolder
+from tauext_commission.history_file import read_events, read_labels
 from tauext_commission.run import TEND_S, Options, run
 from tauext_lab.sim.source import KINDS, write_robot_file
 
-from tauext.bundle.history_file import read_events
 from tauext.cli import main
-from tauext.data.labels import Label, read_labels
+from tauext.data.labels import Label
 from tauext.data.recording_file import save_recording
 from tauext.errors import AwayError, ConfigError, RobotError
 from tauext.monitor.control_lines import obey

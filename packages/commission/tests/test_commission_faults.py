@@ -18,22 +18,29 @@ import pytest
 from made_bundles import JOINTS, pushed
 from made_commission import cut_journal, forge
 from made_faults import ANSWERS, BACKUP, FAULTS, ROBOT, alone, begin, end, faults, files_of, outcome, prepare, wait
-from tauext_commission import history
+from tauext_commission import history, journal
 from tauext_commission.connect import restore_arm
 from tauext_commission.folder import CommissionFolder, Segment
 from tauext_commission.history import arm_row, describe_folder
+from tauext_commission.history_file import (
+    active_bundle,
+    expect_journal,
+    left_out,
+    read_events,
+    read_history,
+    read_labels,
+    read_question,
+)
 from tauext_commission.motion_recorder import repaired, trim_damaged
 from tauext_commission.run import free_sockets
 from tauext_commission.trainer import Trainer
 
 from tauext import _core
-from tauext.bundle.history_file import active_bundle, expect_journal, left_out, read_events, read_history, read_question
 from tauext.cli import main
 from tauext.data.dataset import load_dataset
-from tauext.data.labels import Label, read_labels
+from tauext.data.labels import Label
 from tauext.data.recording_file import save_recording
 from tauext.errors import ConfigError
-from tauext.files import journal
 
 CONFIRMED = {k: "touched" if k % 2 else "nothing" for k in range(1, ANSWERS + 1)}
 EXPECTED = (
@@ -257,7 +264,7 @@ def test_lines_of_several_processes_get_different_numbers(tmp_path):
     import subprocess
     import sys
 
-    code = "import sys; from pathlib import Path; from tauext.files import journal\n"
+    code = "import sys; from pathlib import Path; from tauext_commission import journal\n"
     code += "for k in range(30): journal.append(Path(sys.argv[1]), 'a', {'id': k})"
     writers = [subprocess.Popen([sys.executable, "-c", code, str(tmp_path)]) for _ in range(2)]
     while any(one.poll() is None for one in writers):
@@ -468,7 +475,7 @@ def unwritable(path: Path, number: int):
             real = getattr(importlib.import_module(module), name)
             stack.enter_context(mock.patch(target, refused(real, *flags)))
         stack.enter_context(mock.patch.object(socket.socket, "bind", bind))
-        stack.enter_context(mock.patch("tauext.files.journal.os.access", lambda at, mode: not mode & os.W_OK))
+        stack.enter_context(mock.patch("tauext_commission.journal.os.access", lambda at, mode: not mode & os.W_OK))
         yield
 
 

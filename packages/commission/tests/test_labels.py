@@ -9,14 +9,15 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 from made_commission import forge
+from tauext_commission import journal, synced_file
+from tauext_commission.history_file import KIND, read_labels
+from tauext_commission.synced_file import RESERVE, RESERVED, reserve, write_synced
 
 from tauext.check.before_training import check_calibration
 from tauext.data.free_motion import free_pieces, free_samples
-from tauext.data.labels import KIND, Label, labels_key, overlay, read_labels
+from tauext.data.labels import Label, labels_key, overlay
 from tauext.data.recording import Recording
 from tauext.data.recording_file import describe, load_recording, save_recording
-from tauext.files import journal, synced_file
-from tauext.files.synced_file import RESERVE, RESERVED, reserve, write_synced
 from tauext.progress import SILENT
 
 SECOND = 1_000_000_000

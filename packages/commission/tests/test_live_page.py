@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_live_page import JOINTS, FakeLoop, line, serving, write_folder
+from tauext_commission import journal
 from tauext_commission.page import connections, live_server
 from tauext_commission.page.access import is_own_name, listening_socket
 from tauext_commission.page.live_arm import arm_facts
@@ -22,7 +23,6 @@ from websockets.sync.client import connect
 
 from tauext.data.labels import Label
 from tauext.errors import ConfigError
-from tauext.files import journal
 
 PATIENCE_S = 20.0
 TOKEN = "right-token"

@@ -12,11 +12,11 @@ from made_live import Clock, Keeper, ScriptedSource, samples_of
 from tauext_commission.connect import held_rate
 from tauext_commission.folder import CommissionFolder
 from tauext_commission.history import Kept, describe_folder, kept_of
+from tauext_commission.history_file import monitored_of
 from tauext_commission.motion_recorder import KeepSink
 
 from tauext import _core
 from tauext.bundle.estimates import OK
-from tauext.bundle.history_file import monitored_of
 from tauext.data.labels import Label
 from tauext.monitor.control_lines import ControlSocket
 from tauext.monitor.latency import how_to_hold_the_rate

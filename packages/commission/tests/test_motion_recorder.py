@@ -11,18 +11,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from tauext_commission import folder as folder_module
-from tauext_commission import motion_recorder
+from tauext_commission import journal, motion_recorder
 from tauext_commission.answers import AlarmJournal
 from tauext_commission.folder import CommissionFolder, Segment, split_of
+from tauext_commission.history_file import watches
 from tauext_commission.motion_recorder import Coverage, KeepSink, learned_up_to, repaired, set_of, to_drop, trim_flights
 
 from tauext.bundle.estimates import COLLISION
-from tauext.bundle.history_file import watches
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import free_pieces
 from tauext.data.labels import Label
 from tauext.errors import ConfigError
-from tauext.files import journal
 from tauext.monitor.changes import ChangeFinder
 from tauext.monitor.episode import EpisodeFinder
 from tauext.monitor.sink import Verdict

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import tyro
 
 from tauext import plugins
-from tauext.bundle.history_file import BUNDLES
 from tauext.cli.arguments import JsonArg
 from tauext.cli.commands import folders_like, loaded
 from tauext.errors import BundleError, ConfigError
@@ -67,9 +66,7 @@ def show(
     """
     if folders := folders_like(file):
         if force or data or frame or picture is not None:
-            raise ConfigError(
-                f"--force, --data, --frame and --picture belong to a bundle; give one of {file / BUNDLES}"
-            )
+            raise ConfigError(f"--force, --data, --frame and --picture belong to a bundle; give one in {file}")
         loaded(folders.show)(file, as_json)
         return
     if (file / "split.json").is_file():

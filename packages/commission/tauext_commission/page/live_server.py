@@ -21,7 +21,7 @@ from typing import Any
 
 from aiohttp import web
 
-from tauext.bundle.history_file import read_events, read_history, read_question
+from tauext_commission.history_file import read_events, read_history, read_question
 from tauext_commission.page.access import is_from_own_page, is_own_host
 from tauext_commission.page.connections import Connection
 

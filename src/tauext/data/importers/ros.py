@@ -9,6 +9,7 @@ import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,9 +22,17 @@ import pyarrow as pa
 from tauext.data.importers import mcap_file, ros1_bag, sqlite_bag
 from tauext.data.importers.bag import MOST_BYTES, ZSTD_MAGIC, BagFile, Channel, decompressed
 from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list
-from tauext.data.ros_messages import standard_types
 from tauext.errors import RecordingError
 from tauext.files.preflight import in_words
+
+
+@cache
+def standard_types(ros1: bool = False) -> Any:
+    """Types of ROS 2 Humble or ROS 1 Noetic, as rosbags has them."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+
 
 # --- Messages to columns: JointState in bulk where messages have one layout, all others field by field.
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
-LabelAnswer = Literal["touched", "nothing", "unanswered", "suspect", "withdrawn"]
+from tauext.data.labels import LabelAnswer
+
 LARGEST_ID = 2**31 - 1
 """Largest number of an alarm: the core counts alarms in 32 bits."""
 LARGEST_STAMP = 2**61

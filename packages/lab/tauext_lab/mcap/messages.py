@@ -4,24 +4,17 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping
-from functools import cache
 from typing import Any
 
 import numpy as np
+
+from tauext.data.importers.ros import standard_types
 
 NS_PER_S = 1_000_000_000
 LAST_NS = (1 << 31) * NS_PER_S - 1
 """Last time of a stamp, which has 32 bits of seconds."""
 BASE, NAME, ARRAY = 1, 2, 3
 """Kinds of fields in rosbags' tables; the fourth is a sequence."""
-
-
-@cache
-def standard_types(ros1: bool = False) -> Any:
-    """Types of ROS 2 Humble or ROS 1 Noetic, as rosbags has them."""
-    from rosbags.typesys import Stores, get_typestore
-
-    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
 
 
 def definition(kind: str) -> str:

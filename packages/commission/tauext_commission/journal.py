@@ -23,9 +23,9 @@ from secrets import token_hex
 from typing import Any
 from zlib import crc32
 
-from tauext.files.journal_lines import is_whole, why_unusable
 from tauext.files.plain_file import FORMAT, expect_file, json_of
-from tauext.files.synced_file import lock, set_aside, sync_folder, write_all, write_reserved, write_synced
+from tauext_commission.journal_lines import is_whole, why_unusable
+from tauext_commission.synced_file import lock, set_aside, sync_folder, write_all, write_reserved, write_synced
 
 NAME, COPY, LOCK = "journal.jsonl", "journal.copy.jsonl", ".journal.lock"
 CHECK = b'{"crc32": "%08x", '

@@ -363,7 +363,7 @@ def import_dataset(
     out: Path,
     format: str,
     say: Say,
-    meshes: MeshFolders = MeshFolders(),  # noqa: B008
+    meshes: MeshFolders = MeshFolders(),
 ) -> None:
     """Import all sources into a folder, written atomically.
 

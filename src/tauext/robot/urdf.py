@@ -72,7 +72,7 @@ def urdf_spec(file: XmlFile) -> mujoco.MjSpec:
             _set_inertial(file, links[name], body)
         for joint, child in behind[name]:
             own = body.add_body(name="" if child == "world" else child)  # MuJoCo's own root has that name
-            own.pos, own.quat = _origin(file, joint, _called(joint))
+            own.pos, own.quat = origin_of(file, joint, _called(joint))
             if (moved := _add_joint(file, joint, own)) is not None:
                 in_spec[moved.name] = moved
             waiting.append((child, own))
@@ -223,7 +223,7 @@ def _expect_spelling(file: XmlFile, element: ElementTree.Element, who: str) -> N
         )
 
 
-def _numbers(
+def numbers_of(
     file: XmlFile,
     element: ElementTree.Element | None,
     key: str,
@@ -256,15 +256,15 @@ def _child(file: XmlFile, of: ElementTree.Element, tag: str, who: str) -> Elemen
     return child
 
 
-def _origin(file: XmlFile, of: ElementTree.Element, who: str) -> tuple[list[float], np.ndarray]:
+def origin_of(file: XmlFile, of: ElementTree.Element, who: str) -> tuple[list[float], np.ndarray]:
     """Position and quaternion of an element's origin."""
     origin = _child(file, of, "origin", who)
-    place = _numbers(file, origin, "xyz", who, 3, [0.0] * 3)
+    place = numbers_of(file, origin, "xyz", who, 3, [0.0] * 3)
     if file.root.get("version", "1.0") not in ("1", "1.0") and origin is not None and origin.get("quat_xyzw"):
-        x, y, z, w = _numbers(file, origin, "quat_xyzw", who, 4)
+        x, y, z, w = numbers_of(file, origin, "quat_xyzw", who, 4)
         return place, np.array([w, x, y, z])
     turned = np.array([1.0, 0.0, 0.0, 0.0])
-    for axis, angle in zip(np.eye(3), _numbers(file, origin, "rpy", who, 3, [0.0] * 3), strict=True):
+    for axis, angle in zip(np.eye(3), numbers_of(file, origin, "rpy", who, 3, [0.0] * 3), strict=True):
         about, before = np.empty(4), turned.copy()
         mujoco.mju_axisAngle2Quat(about, axis, angle)
         mujoco.mju_mulQuat(turned, about, before)
@@ -284,12 +284,12 @@ def _set_inertial(file: XmlFile, link: ElementTree.Element, body: mujoco.MjsBody
     if mass is None:
         raise file.error(inertial, f"{who}: <inertial> has no <mass>")
     inertia = _child(file, inertial, "inertia", who)
-    products = [_numbers(file, inertia, key, who, 1, [0.0], finite=False) for key in INERTIA[3:]]
-    moments = [_numbers(file, inertia, key, who, finite=False) for key in INERTIA[:3]]
+    products = [numbers_of(file, inertia, key, who, 1, [0.0], finite=False) for key in INERTIA[3:]]
+    moments = [numbers_of(file, inertia, key, who, finite=False) for key in INERTIA[:3]]
     six = [value for (value,) in moments + products]
     body.explicitinertial = True
-    body.mass = _numbers(file, mass, "value", who, finite=False)[0]
-    body.ipos, body.iquat = _origin(file, inertial, who)
+    body.mass = numbers_of(file, mass, "value", who, finite=False)[0]
+    body.ipos, body.iquat = origin_of(file, inertial, who)
     if np.isfinite(six).all():
         body.fullinertia = six
     else:
@@ -303,7 +303,7 @@ def _add_joint(file: XmlFile, joint: ElementTree.Element, body: mujoco.MjsBody) 
     if kind in SEVERAL_AXES:
         return body.add_joint(name=joint.get("name"), type=mujoco.mjtJoint.mjJNT_BALL)
     element = _child(file, joint, "axis", who)
-    axis = [1.0, 0.0, 0.0] if element is None else _numbers(file, element, "xyz", who, 3)
+    axis = [1.0, 0.0, 0.0] if element is None else numbers_of(file, element, "xyz", who, 3)
     if np.linalg.norm(axis) < LEAST_AXIS:
         assert element is not None
         raise file.error(element, f"{who}: <axis xyz={element.get('xyz')!r}> has no direction; give a unit vector")
@@ -318,8 +318,8 @@ def _add_mimic(
     mimic = _child(file, joint, "mimic", who)
     if mimic is None or name not in in_spec or joint.get("type") in SEVERAL_AXES:
         return
-    factor = _numbers(file, mimic, "multiplier", who, 1, [1.0])[0]
-    offset = _numbers(file, mimic, "offset", who, 1, [0.0])[0]
+    factor = numbers_of(file, mimic, "multiplier", who, 1, [1.0])[0]
+    offset = numbers_of(file, mimic, "offset", who, 1, [0.0])[0]
     leader = mimic.get("joint", "")
     equality = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT, name1=name, objtype=mujoco.mjtObj.mjOBJ_JOINT)
     if leader in in_spec and leader != name:
@@ -368,7 +368,7 @@ def _set_gravity(file: XmlFile, spec: mujoco.MjSpec) -> None:
     option = file.root.find("mujoco/option")
     if option is None:
         return
-    spec.option.gravity = _numbers(file, option, "gravity", "extension 'mujoco'", 3, list(spec.option.gravity))
+    spec.option.gravity = numbers_of(file, option, "gravity", "extension 'mujoco'", 3, list(spec.option.gravity))
     flag = option.find("flag")
     if flag is not None and flag.get("gravity") == "disable":
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_GRAVITY

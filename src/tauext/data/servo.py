@@ -47,7 +47,6 @@ def _unscaled(recordings: Sequence[Recording], torque: str) -> bool:
 
 RAW_SIGNALS = ("q_des", "current", "duty", "voltage")
 """Signals from which a servo's torque is computed, beside position and velocity."""
-CONSTANTS = ("volts", "ohm", "back_emf_v_s", "nm_per_ampere", "duty_per_rad", "most_duty", "count_rad")
 TORQUE_WORDS = {
     "phase-current": "current of the windings",
     "supply-current": "current of the supply",
@@ -150,12 +149,13 @@ def velocity_and_torque(
 
 def servo_facts(settings: _core.ServoSettings) -> dict[str, Any]:
     """The settings as plain JSON, for provenance."""
+    constants = ("volts", "ohm", "back_emf_v_s", "nm_per_ampere", "duty_per_rad", "most_duty", "count_rad")
     return {
         "torque_from": settings.torque_from.name,
         "velocity_steps": settings.velocity_steps,
         "sample_period_ns": settings.sample_period_ns,
         "goal_delay_ns": settings.goal_delay_ns,
-        "joints": [{name: getattr(joint, name) for name in CONSTANTS} for joint in settings.joints],
+        "joints": [{name: getattr(joint, name) for name in constants} for joint in settings.joints],
     }
 
 

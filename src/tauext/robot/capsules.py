@@ -74,11 +74,7 @@ def primitive_triangles(kind: int, size: np.ndarray, count: int = 1000) -> np.nd
 
 
 def drawn_points(corners: np.ndarray, count: int = 600) -> np.ndarray:
-    """Points (count, 3) drawn evenly, with a fixed seed, from the surface of triangles (n, 3, 3).
-
-    Raises:
-        ValueError: no triangle has an area.
-    """
+    """Points (count, 3) drawn evenly, with a fixed seed, from the surface of triangles (n, 3, 3)."""
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     areas[~np.isfinite(areas)] = 0.0
     if not areas.any():
@@ -294,11 +290,7 @@ def write_shapes(source: Path, folder: Path, given: MeshFolders = MeshFolders())
 
 
 def read_shapes(path: Path) -> BodyCapsules:
-    """Read the file that write_shapes() wrote.
-
-    Raises:
-        RobotError: it is damaged.
-    """
+    """Read the file that write_shapes() wrote."""
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
         bodies = {
@@ -320,9 +312,6 @@ def shapes_of(path: Path, given: MeshFolders = MeshFolders()) -> BodyCapsules:
     """The shapes that write_shapes() wrote beside a robot file, else those of the file.
 
     What could not be read for that file is tried again: its meshes may be in the given folders, or installed since.
-
-    Raises:
-        RobotError: a file cannot be read.
     """
     beside = path.with_name(SHAPES_FILE)
     if not beside.is_file():

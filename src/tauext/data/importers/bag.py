@@ -9,7 +9,6 @@ from typing import Protocol
 import pyarrow as pa
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-PIECE_BYTES = 1 << 16
 MOST_BYTES = 1 << 28
 """Largest size of a chunk or a message, unpacked, [bytes]; recorders write chunks of a hundredth of it."""
 
@@ -32,7 +31,7 @@ class Channel:
 
 
 CountLost = Callable[[str, int, str], None]
-"""Counts messages left out: reason, number, place of the first."""
+"""Counts messages left out: reason, number, position of the first."""
 
 
 class BagFile(Protocol):
@@ -61,7 +60,7 @@ def decompressed(data: bytes, codec: str) -> tuple[bytes, bool]:
     """Decompress zstd or lz4 as far as the data is whole, and to MOST_BYTES; also returns whether all of it is."""
     stream, parts, size = pa.CompressedInputStream(pa.BufferReader(data), codec), list[bytes](), 0
     try:
-        while (part := stream.read(PIECE_BYTES)) and (size := size + len(part)) <= MOST_BYTES:
+        while (part := stream.read(1 << 16)) and (size := size + len(part)) <= MOST_BYTES:
             parts.append(part)
     except OSError:
         return b"".join(parts), False

@@ -8,9 +8,6 @@ from contextlib import contextmanager
 
 from tauext.errors import RecordingError
 
-OUT_OF_MEMORY = re.compile("memory allocation failed|unable to allocate|out of memory", re.IGNORECASE)
-"""HDF5 and others report it as any other error."""
-
 
 def too_large(path: object) -> RecordingError:
     """The error about a file that needs more memory than there is."""
@@ -35,6 +32,6 @@ def whole(path: object, kind: str, broken: tuple[type[Exception], ...]) -> Itera
     except MemoryError as error:
         raise too_large(path) from error
     except broken as error:
-        if OUT_OF_MEMORY.search(str(error)):
-            raise too_large(path) from error
+        if re.search("memory allocation failed|unable to allocate|out of memory", str(error), re.IGNORECASE):
+            raise too_large(path) from error  # HDF5 and others report it as any other error
         raise RecordingError(f"{path}: cannot be read as {kind}: it is truncated or damaged; copy it again") from error

@@ -25,12 +25,12 @@ def short_list(names: Iterable[str], most: int = 8) -> str:
 
 @dataclass
 class Lost:
-    """Rows or messages that an import leaves out, by reason: their number and the place of the first."""
+    """Rows or messages that an import leaves out, by reason: their number and the position of the first."""
 
     reasons: dict[str, tuple[int, str]] = field(default_factory=dict)
 
     def add(self, reason: str, count: int, first: str) -> None:
-        """Count rows of this reason; `first` is the place of the first of them, such as "line 701"."""
+        """Count rows of this reason; `first` is the position of the first of them, such as "line 701"."""
         if count:
             before, at = self.reasons.get(reason, (0, first))
             self.reasons[reason] = before + count, at
@@ -41,7 +41,7 @@ class Lost:
         return sum(count for count, _ in self.reasons.values())
 
     def sentences(self) -> list[str]:
-        """A sentence a reason: number, reason, place of the first."""
+        """A sentence a reason: number, reason, position of the first."""
         return [f"{n} row{'s' * (n > 1)} left out: {why}, first {at}" for why, (n, at) in self.reasons.items()]
 
 
@@ -95,8 +95,8 @@ class RawRecording:
         ]
         return times + [f"the file states {name} = {hz:g} Hz" for name, hz in self.stated_hz.items()]
 
-    def place(self, row: int) -> str:
-        """Place of a row, counted from 0, as a person finds it in the file."""
+    def position(self, row: int) -> str:
+        """Position of a row, counted from 0, as a person finds it in the file."""
         word, first = self.row_word
         return f"{word} {row + first}"
 

@@ -12,7 +12,7 @@ from typing import Any
 from tauext.data.importers.bag import MOST_BYTES, Channel, CountLost, decompressed, ros_type
 
 MAGIC = b"#ROSBAG V"
-MESSAGE, CHUNK, CONNECTION = 2, 5, 7
+_MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7
 """Operations of records."""
 
 
@@ -90,7 +90,7 @@ class Ros1Bag:
             connections: topic, type and definition by number; filled here.
         """
         for fields, begin, end in _records(self._data, self._data.find(b"\n") + 1):
-            if fields.get(b"op", b"")[:1] != bytes([CHUNK]):
+            if fields.get(b"op", b"")[:1] != bytes([_CHUNK]):
                 continue
             packed, compression = self._data[begin:end], fields.get(b"compression", b"none")
             whole = len(packed) == end - begin
@@ -108,12 +108,12 @@ class Ros1Bag:
                 if len(number) != 4 or stop > len(chunk):
                     continue
                 key = int.from_bytes(number, "little")
-                if operation == CONNECTION:
+                if operation == _CONNECTION:
                     held = _fields(chunk, at, stop)
                     texts = (inner.get(b"topic", b""), held.get(b"type", b""), held.get(b"message_definition", b""))
                     topic, kind, definition = (text.decode(errors="replace") for text in texts)
                     connections.setdefault(key, (topic, kind, definition))
-                elif operation == MESSAGE and len(inner.get(b"time", b"")) == 8:
+                elif operation == _MESSAGE and len(inner.get(b"time", b"")) == 8:
                     sec, nanosec = struct.unpack("<II", inner[b"time"])
                     yield key, sec * 10**9 + nanosec, chunk[at:stop]
 

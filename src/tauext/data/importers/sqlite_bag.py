@@ -14,10 +14,6 @@ from tauext.data.importers.bag import Channel, CountLost, ros_type
 from tauext.errors import RecordingError
 
 MAGIC = b"SQLite format 3\0"
-BESIDE = ("-wal", "-journal")
-"""Endings of the files in which the recorder's last rows are until it closes the bag."""
-FARTHEST_STEP = 1 << 32
-"""Largest number of rows that a search for the next readable one steps over."""
 
 
 class SqliteBag:
@@ -31,15 +27,13 @@ class SqliteBag:
         try:
             definitions = self._definitions()
             topics = self._database.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
-        except RecordingError as error:
+        except (RecordingError, sqlite3.DatabaseError) as error:
             self.close()
-            raise RecordingError(f"{path}: {error}") from error
-        except sqlite3.DatabaseError as error:
-            self.close()
-            raise RecordingError(
-                f"{path}: its table of topics cannot be read: it is damaged, or the recorder kept its last rows in "
+            damaged = (
+                "its table of topics cannot be read: it is damaged, or the recorder kept its last rows in "
                 f"{path.name}-wal; copy all files of the bag's folder again"
-            ) from error
+            )
+            raise RecordingError(f"{path}: {error if isinstance(error, RecordingError) else damaged}") from error
         counts = self._counts()
         self._by_id = {
             number: Channel(name, ros_type(kind), encoding, *definitions.get(kind, ("", "")), counts.get(number, 0))
@@ -55,7 +49,9 @@ class SqliteBag:
 
     def _opened(self, path: Path) -> sqlite3.Connection:
         """Open the file without a change to it: rows beside it are taken in, part of a page left out, on a copy."""
-        beside = [part for end in BESIDE if (part := path.with_name(path.name + end)).is_file() and part.stat().st_size]
+        # The recorder's last rows are there until it closes the bag.
+        beside = [path.with_name(path.name + end) for end in ("-wal", "-journal")]
+        beside = [part for part in beside if part.is_file() and part.stat().st_size]
         part_of_page = 0 if beside else path.stat().st_size % _page_bytes(path)
         if not beside and not part_of_page:
             return sqlite3.connect(f"file:{quote(str(path))}?immutable=1", uri=True)
@@ -107,11 +103,10 @@ class SqliteBag:
         channels = {number: channel for number, channel in self._by_id.items() if channel in wanted}
         last_ns = -1
         if not self._damaged:
-            query = (
-                f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({','.join('?' * len(channels))})"
-            )
+            marks = ",".join("?" * len(channels))
+            query = f"SELECT topic_id, timestamp, data FROM messages WHERE topic_id IN ({marks}) ORDER BY timestamp"
             try:
-                for number, log_ns, raw in self._database.execute(f"{query} ORDER BY timestamp", tuple(channels)):
+                for number, log_ns, raw in self._database.execute(query, tuple(channels)):
                     if isinstance(raw, bytes):
                         yield channels[number], log_ns, raw
                         last_ns = log_ns
@@ -126,7 +121,7 @@ class SqliteBag:
         """Yield the rows that can be read, in the order of the file."""
         query = "SELECT id, topic_id, timestamp, data FROM messages NOT INDEXED WHERE id > ? ORDER BY id"
         last, step = 0, 1
-        while step < FARTHEST_STEP:
+        while step < 1 << 32:  # rows to step over, in search of the next readable one
             try:
                 for row, number, log_ns, raw in self._database.execute(query, (last,)):
                     if row <= last:  # damaged pages may lead in a circle

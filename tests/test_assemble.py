@@ -331,10 +331,7 @@ MISTAKES = {
     "unknown table": (dict(rest="[contcat]"), "unknown key 'contcat'; the nearest known is 'contact'"),
     "unit": (dict(q='unit = "degrees"'), r"\[signals.q\] unit = 'degrees' must be one of rad, deg"),
     "sign": (dict(tau="sign = 2"), r"\[signals.tau\] sign = .* must be one of 1, -1"),
-    "count": (
-        dict(tau="sign = [1, 1, 1]"),
-        "must be one of 1, -1, one for all joints or a list of 2",
-    ),
+    "count": (dict(tau="sign = [1, 1, 1]"), "must be one of 1, -1, one for all joints or a list of 2"),
     "type": (dict(time='rate_hz = "fast"'), r"\[time\] rate_hz = 'fast' must be a number"),
     "choice": (dict(tau='timing = "later"'), "timing = 'later' must be one of held, instant, averaged"),
     "current": (dict(tau='unit = "A"'), 'torque_constant = .* must be Nm/A, one a joint, or "unknown"'),

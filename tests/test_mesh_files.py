@@ -13,13 +13,7 @@ from test_capsules import URDF, stl, tube
 
 from tauext.errors import ConfigError
 from tauext.robot.capsules import body_capsules, link_capsules, write_shapes
-from tauext.robot.mesh_files import (
-    MeshFinder,
-    MissingMeshError,
-    expect_meshes,
-    mesh_folders,
-    packages_below,
-)
+from tauext.robot.mesh_files import MeshFinder, MissingMeshError, expect_meshes, mesh_folders, packages_below
 from tauext.robot.read import load_tree
 
 MESH = '<collision><geometry><mesh filename="{}"/></geometry></collision>'

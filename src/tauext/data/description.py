@@ -167,9 +167,7 @@ SIGNALS = {
     ),
     "temperature": Signal({"degC": 1.0}, _MEASURED, "Motor temperature. Optional."),
     "current": Signal(
-        _AMPERES,
-        _SIGNED,
-        "Current as a servo reports it: of its windings or of its supply, see [servo]. Optional.",
+        _AMPERES, _SIGNED, "Current as a servo reports it: of its windings or of its supply, see [servo]. Optional."
     ),
     "duty": Signal(
         {"1": 1.0, "%": 0.01, "permille": 0.001},

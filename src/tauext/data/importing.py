@@ -15,9 +15,8 @@ from tauext.data.assemble import assemble, logged_joints
 from tauext.data.dataset import SETS, Split, save_split, split_recordings
 from tauext.data.description import Arm, load_arm
 from tauext.data.free_motion import free_stretches, has_contact, length_s, within
-from tauext.data.importers.damaged import whole
 from tauext.data.importers.open_raw import exporting, open_raw
-from tauext.data.importers.raw import RawRecording
+from tauext.data.importers.raw import RawRecording, whole
 from tauext.data.joint_names import expect_all_placed
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording

@@ -16,11 +16,7 @@ from tauext.data.recording import REPEATED, SORTED, Recording
 from tauext.errors import RecordingError
 
 _LOCK = "take {joints} out of [robot] joints, and list it in locked and ignored there; or record it"
-WAYS_ON = {
-    "q": _LOCK,
-    "dq": 'columns = "" in [signals.dq] derives the velocity from the position',
-    "tau": _LOCK,
-}
+WAYS_ON = {"q": _LOCK, "dq": 'columns = "" in [signals.dq] derives the velocity from the position', "tau": _LOCK}
 """What a person can do about a signal that is missing throughout; others are optional."""
 
 

@@ -90,8 +90,8 @@ def save_recording(recording: Recording, path: Path | str) -> None:
     floats = list(columns)[1:]
     flags = [flag for flag in FLAGS if getattr(recording, flag) is not None]
     columns |= {flag: getattr(recording, flag) for flag in flags}
-    texts = (str(FORMAT), json.dumps(recording.joints), json.dumps(UNITS), repr(recording.rate_hz))
-    texts += (recording.torque_timing, recording.source, recording.robot_sha256, json.dumps(recording.provenance))
+    texts = [str(FORMAT), json.dumps(recording.joints), json.dumps(UNITS), repr(recording.rate_hz)]
+    texts += [recording.torque_timing, recording.source, recording.robot_sha256, json.dumps(recording.provenance)]
     table = pa.table(columns).replace_schema_metadata(dict(zip(TEXTS, texts, strict=True)))
     encoding = {"t_ns": "DELTA_BINARY_PACKED"} | dict.fromkeys(floats, "BYTE_STREAM_SPLIT")
     how: dict[str, Any] = {"use_dictionary": flags, "column_encoding": encoding, "row_group_size": ROW_GROUP}

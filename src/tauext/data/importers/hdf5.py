@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from tauext.data.importers.cells import USUAL_CLOCK, paired_stamps, stated_hz
-from tauext.data.importers.damaged import whole
-from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list
+from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list, whole
 from tauext.errors import RecordingError
 from tauext.files.preflight import in_words
 

@@ -29,9 +29,7 @@ def begins(*magics: bytes) -> Callable[[Path, bytes], bool]:
 IMPORTERS: dict[str, Importer] = {
     "ros": Importer("ROS 1 bag, ROS 2 bag (sqlite3, MCAP, or their folder)", fits_ros, ros.open_bag),
     "parquet": Importer(
-        "Parquet, Arrow",
-        begins(parquet.MAGIC, parquet.ARROW_MAGIC),
-        lambda path, _: parquet.open_parquet(path),
+        "Parquet, Arrow", begins(parquet.MAGIC, parquet.ARROW_MAGIC), lambda path, _: parquet.open_parquet(path)
     ),
     "matlab": Importer("MATLAB", begins(*hdf5.MATLAB_MAGICS), lambda path, _: hdf5.open_matlab(path)),
     "hdf5": Importer("HDF5", begins(hdf5.MAGIC), lambda path, _: hdf5.open_hdf5(path)),

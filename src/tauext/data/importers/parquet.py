@@ -22,8 +22,7 @@ from tauext.data.importers.cells import (
     numbers_of,
     paired_stamps,
 )
-from tauext.data.importers.damaged import whole
-from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list
+from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list, whole
 from tauext.errors import RecordingError
 
 MAGIC, ARROW_MAGIC = b"PAR1", b"ARROW1"

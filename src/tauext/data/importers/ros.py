@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from tauext.data.importers import mcap_file, ros1_bag, sqlite_bag
+from tauext.data.importers import bag, mcap_file
 from tauext.data.importers.bag import MOST_BYTES, ZSTD_MAGIC, BagFile, Channel, decompressed
 from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals
 from tauext.data.ros_messages import standard_types
@@ -412,9 +412,9 @@ def deserializer(channel: Channel) -> Callable[[bytes], Any]:
 MOST_OF_DISK = 0.5
 """Share of the free disk space that an unpacked bag may take."""
 KINDS: dict[bytes, Callable[[Path], BagFile]] = {
-    ros1_bag.MAGIC: ros1_bag.Ros1Bag,
+    bag.ROS1_MAGIC: bag.Ros1Bag,
     mcap_file.MAGIC: mcap_file.McapFile,
-    sqlite_bag.MAGIC: sqlite_bag.SqliteBag,
+    bag.SQLITE_MAGIC: bag.SqliteBag,
 }
 """Files of bags by their first bytes."""
 
@@ -432,7 +432,7 @@ def open_bag(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
     for file in files:
         with _opened(file, notes) as storage:
             channels += storage.channels
-            formats.add("ROS 1 bag" if isinstance(storage, ros1_bag.Ros1Bag) else "ROS 2 bag")
+            formats.add("ROS 1 bag" if isinstance(storage, bag.Ros1Bag) else "ROS 2 bag")
     damage = notes[damage_from:]
     if damage and not any(channel.count for channel in channels):
         raise RecordingError(

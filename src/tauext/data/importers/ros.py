@@ -132,8 +132,7 @@ class Messages:
                 recording.lost.add(f"cannot be decoded as {self._channel.msgtype or self._channel.encoding}", 1, at)
                 continue
             if numbers or not getattr(message, "name", True):  # an empty JointState is of no joint
-                rows = by_names.setdefault(tuple(numbers), [])
-                rows.append((k, list(numbers.values()), t_ns))
+                by_names.setdefault(tuple(numbers), []).append((k, list(numbers.values()), t_ns))
             else:
                 recording.lost.add("without numbers", 1, at)
         for names, held in by_names.items():

@@ -106,32 +106,29 @@ def _stream(arm: Arm, raw: RawRecording, there: Mapping[str, Sequence[str]], top
 def _resolved(
     arm: Arm, raw: RawRecording, table: str, columns: tuple[str, ...], there: Sequence[str]
 ) -> tuple[str, ...]:
-    if len(columns) > 1:
-        return _exact(arm, raw, table, columns, there)
-    (one,) = columns
-    if any(f"{{{key}}}" in one for key in ("joint", "index", "number")):
-        spelled = [
+    one = columns[0]
+    if len(columns) == 1 and re.search(r"\{(joint|index|number)\}", one):
+        columns = tuple(
             one.replace("{joint}", name).replace("{index}", str(k)).replace("{number}", str(k + 1))
             for k, name in enumerate(arm.names)
-        ]
-        return _exact(arm, raw, table, tuple(spelled), there)
-    by_name = tuple(f"{one}[{name}]" for name in arm.names)
-    if all(name in there for name in by_name):
-        return by_name
-    elements = [name for name in there if name.startswith(f"{one}[")]
-    by_index = tuple(f"{one}[{k}]" for k in range(len(arm.names)))
-    if elements and set(elements) == set(by_index):
-        return by_index
-    if elements:
-        held = [name.removeprefix(f"{one}[").removesuffix("]") for name in elements]
-        raise ConfigError(
-            f"{arm.path}: [{table}] columns = '{one}': in {raw.path.name} its elements are {short_list(held, 16)}; "
-            f'[robot] names (or joints) are {", ".join(arm.names)}: name them as the recording does, or by "{one}'
-            f'[{{index}}]"{"".join(f"; {note}" for note in raw.notes)}'
         )
-    if len(arm.names) == 1 and one in there:
-        return (one,)
-    raise _missing(arm, raw, table, one, there)
+        return _exact(arm, raw, table, columns, there)
+    elements = [name for name in there if name.startswith(f"{one}[")]
+    if len(columns) == 1 != len(arm.names) and not elements:
+        raise _missing(arm, raw, table, one, there)
+    if len(columns) > 1 or not elements:
+        return _exact(arm, raw, table, columns, there)
+    by_name, by_index = (tuple(f"{one}[{label}]" for label in labels) for labels in (arm.names, range(len(arm.names))))
+    if all(name in elements for name in by_name):
+        return by_name
+    if set(elements) == set(by_index):
+        return by_index
+    listed = short_list([name.removeprefix(f"{one}[").removesuffix("]") for name in elements], 16)
+    raise ConfigError(
+        f"{arm.path}: [{table}] columns = '{one}': in {raw.path.name} its elements are {listed}; [robot] names (or "
+        f'joints) are {", ".join(arm.names)}: name them as the recording does, or by "{one}'
+        f'[{{index}}]"{"".join(f"; {note}" for note in raw.notes)}'
+    )
 
 
 def _exact(arm: Arm, raw: RawRecording, table: str, names: tuple[str, ...], there: Sequence[str]) -> tuple[str, ...]:

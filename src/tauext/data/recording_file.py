@@ -231,7 +231,7 @@ def opened(path: Path) -> Iterator[pq.ParquetFile]:
 
 
 def expect_rows(path: Path, footer: pq.FileMetaData) -> None:
-    """Raise RecordingError unless the footer has the same number of rows in each of its places.
+    """Raise RecordingError unless the footer has the same number of rows for every group and column.
 
     A reader allocates for the one, and returns as many as the other.
     """

@@ -157,7 +157,7 @@ class LostShapes:
     """Packages of missing meshes; "": a mesh that is no package's."""
 
     def only(self, links: Collection[str]) -> LostShapes:
-        """Those of these links."""
+        """The lost shapes of these links."""
         kept = {why: [one for one in some if one in links] for why, some in self.links.items()}
         return replace(self, links={why: some for why, some in kept.items() if some})
 

@@ -398,7 +398,7 @@ def compiled(path: Path) -> mujoco.MjModel:
 
 
 def read_robot(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """As compiled(), with the specification that was compiled."""
+    """Return the specification beside what compiled() returns."""
     file = read_xml(path)
     joints = sum(element.tag in ("joint", "freejoint") for element in file.root.iter())
     if joints > 1000:  # a humanoid with hands has a hundred; ten thousand take MuJoCo gigabytes

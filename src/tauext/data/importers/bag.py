@@ -31,15 +31,15 @@ class Channel:
 
     topic: str
     msgtype: str
-    """As package/msg/Type for ROS, else as in the file."""
+    """Type of the messages: package/msg/Type for ROS, else as in the file."""
     encoding: str
-    """Of the messages: cdr, ros1, json."""
+    """Encoding of the messages: cdr, ros1, json."""
     schema: str
     """Kind of the definition: ros2msg, ros2idl, ros1msg, jsonschema; empty: there is none."""
     definition: str
     count: int
     profile: str = ""
-    """Of an MCAP file."""
+    """Profile of an MCAP file."""
 
 
 CountLost = Callable[[str, int, str], None]

@@ -229,7 +229,7 @@ def clock_notes(candidates: Mapping[str, int], clock: str) -> list[str]:
 
 
 def unread_times(columns: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Of columns of text, those that may hold times in a form that is not read, and a cell of each.
+    """Columns of text that may hold times in a form that is not read, and a cell of each.
 
     Most of their cells have digits and differ.
     """

@@ -111,12 +111,9 @@ def open_csv(path: Path) -> list[RawRecording]:
     reader, name = _Reader(text, dialect, clock, Lost()), path.name.removesuffix(".gz").removesuffix(".csv")
     unread = unread_times({name: [row[dialect.names.index(name)] for row in rows] for name in others})
     stated, row_word = _stated(lines[: dialect.first_line]), ("line", dialect.first_line + 1)
-    notes_of = {"notes": notes, "lost": reader.lost, "clocks": (clock, "")}
-    return [
-        RawRecording(
-            name, path, "CSV", reader.blocks, stated_hz=stated, row_word=row_word, unread_times=unread, **notes_of
-        )
-    ]
+    clocks, counts = (clock, ""), Counter[str]()
+    how = (notes, counts, reader.lost, clocks, stated, row_word, unread)
+    return [RawRecording(name, path, "CSV", reader.blocks, *how)]
 
 
 def _stated(preamble: Sequence[str]) -> dict[str, float]:

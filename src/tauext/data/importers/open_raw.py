@@ -39,7 +39,7 @@ IMPORTERS: dict[str, Importer] = {
 
 
 def importers() -> dict[str, Importer]:
-    """Those of packages, which may know a narrower format than Parquet or CSV, then those of this package."""
+    """Importers of packages, which may know a narrower format than Parquet or CSV, then those of this package."""
     return plugins.every(plugins.IMPORTERS, Importer, IMPORTERS) | IMPORTERS
 
 

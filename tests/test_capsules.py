@@ -237,14 +237,19 @@ def test_capsules_stay_within_the_box_of_their_mesh(tmp_path, kind):
     assert np.sqrt(np.mean(off**2)) < margin
 
 
-def test_a_mesh_without_a_surface_is_noted(tmp_path):
-    (tmp_path / "a.stl").write_bytes(stl(np.zeros((4, 3, 3))))
+@pytest.mark.parametrize(
+    ("corners", "note"),
+    [
+        (np.zeros((4, 3, 3)), "a.stl is no mesh that can be read"),
+        (TUBE * 1000, "m: a mesh in mm needs scale = 0.001"),
+    ],
+)
+def test_a_mesh_that_is_no_link_is_noted_and_its_link_guessed(tmp_path, corners, note):
+    (tmp_path / "a.stl").write_bytes(stl(corners))
     more = '<collision><geometry><mesh filename="a.stl"/></geometry></collision>'
     path = written(tmp_path, URDF.format(more=more), "arm.urdf")
-    assert link_capsules(path, load_tree(path)) == (
-        [],
-        ["shapes of upper could not be read: a.stl is no mesh that can be read"],
-    )
+    capsules, (line,) = link_capsules(path, load_tree(path))
+    assert capsules == [] and line.startswith("shapes of upper could not be read: a") and note in line
 
 
 def test_shapes_stay_with_a_robot_file_whose_meshes_do_not(tmp_path):

@@ -125,8 +125,8 @@ def fitted(points: np.ndarray, axes: np.ndarray, margin: float = 0.1) -> tuple[E
         at = points @ frame
         half, middle = np.ptp(at, axis=0) / 2, (at.min(axis=0) + at.max(axis=0)) / 2
         least, between, longest = np.sort(half)
-        radius = min((least + between) / 2, least + most)
-        reach = np.where(np.arange(3) == half.argmax(), longest - radius, 0.0)
+        radius = max(min((least + between) / 2, least + most), 1e-3)  # a bundle has no thinner ones
+        reach = np.where(np.arange(3) == half.argmax(), max(longest - radius, 0.0), 0.0)
         start, end = frame @ (middle - reach), frame @ (middle + reach)
         along, way = np.stack([start, end]) @ axes, end - start
         if found and max((low - along + radius).max(), (along + radius - high).max()) > most:
@@ -188,7 +188,10 @@ def urdf_capsules(
         for element in link.findall("collision") or link.findall("visual") if name in bodies else ():
             try:
                 model = _element_model(file, element, meshes)
-                found.setdefault(name, []).extend(geom_capsules(model, 0) if model is not None else [])
+                capsules = geom_capsules(model, 0) if model is not None else []
+                if (far := max((abs(x) for start, end, r in capsules for x in (*start, *end, r)), default=0)) > 10:
+                    raise ValueError(f"a shape reaches {far:.3g} m: a mesh in mm needs scale = 0.001")
+                found.setdefault(name, []).extend(capsules)
             except (OSError, ValueError, RobotError) as error:
                 lost.links.setdefault(" ".join(str(error).split()), []).append(name)
                 if isinstance(error, MissingMeshError):

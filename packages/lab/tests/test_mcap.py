@@ -31,6 +31,7 @@ from tauext_lab.mcap.sink import McapSink
 from tauext_lab.mcap.viewer_urdf import viewer_urdf
 
 from tauext import _core
+from tauext.data.importers import mcap_file
 from tauext.data.importers.open_raw import open_raw
 from tauext.data.recording_file import save_recording
 from tauext.errors import ConfigError
@@ -470,10 +471,10 @@ def test_a_disk_that_is_full_for_a_while_loses_samples_and_no_file(tmp_path, bun
     chunks, real = [0], os.write
 
     def half_full(file: int, content) -> int:
-        chunks[0] += content[0] == mcap_writer.CHUNK
+        chunks[0] += content[0] == mcap_file.CHUNK
         if chunks[0] != 2:
             return real(file, content)
-        if content[0] == mcap_writer.CHUNK:
+        if content[0] == mcap_file.CHUNK:
             return real(file, content[: len(content) // 2])  # the rest does not fit
         raise OSError(errno.ENOSPC, "No space left on device")
 

@@ -136,7 +136,7 @@ def train_bundle(
     accept: Sequence[str] = (),
     check: bool = True,
     start: Start = NOTHING,
-    meshes: MeshFolders = MeshFolders(),  # noqa: B008
+    meshes: MeshFolders = MeshFolders(),
 ) -> Bundle:
     """Train on a dataset's free motion, find limits on its validation or calibration recordings, and write one bundle.
 

@@ -185,7 +185,7 @@ def _events(journal: Contents) -> tuple[dict[str, Any], ...]:
     answers: dict[Any, dict[str, Any]] = {one.id: {"answer": one.answer, "by": one.by} for one in answered}
     newest: dict[Any, dict[str, Any]] = {}
     for one in journal.kinds.get(ALARM, ()):
-        own = {key: value for key, value in one.items() if key not in ("number", "kind", "format", "journal")}
+        own = {key: value for key, value in one.items() if key not in ("number", "kind")}
         newest[one.get("id")] = own | answers.get(one.get("id"), {"answer": None})
     return tuple(newest.values())
 

@@ -134,6 +134,7 @@ def run(
     if (known := known_arm(folder)) is not None:
         options.cell(known.settings.joints)
     with folder.locked(), ExitStack() as stack:
+        stack.callback(folder.close)
         commission = Commission(folder, text, options, echo, stack)
         listen(commission.steering)
         commission.run()

@@ -69,11 +69,13 @@ def prepare(work: Path) -> Path:
             folder.pending_file.write_text(json.dumps({"bundle": "b0009", "minutes": 1}))
             (folder.path / "carried.bin").write_bytes(b"")
             end(begin(path))
+            journal.close_all()
             shutil.copytree(path, work / BACKUP)
     add_answers(folder, range(ANSWERS // 2 + 1, ANSWERS + 1))
     record(folder)
     CalibrationPeaks.load(folder, "b0001").put()
     end(begin(path))
+    journal.close_all()
     return path
 
 
@@ -247,7 +249,7 @@ def outcome(prepared: Path, work: Path, names: tuple[str, ...], fault: str, when
 
     printed: list[str] = []
     confirmed = {k: "touched" if k % 2 else "nothing" for k in range(1, ANSWERS + 1)}
-    journal._seen.clear()
+    journal.close_all()
     with alone():
         if when == "start":
             damage()
@@ -279,7 +281,7 @@ def outcome(prepared: Path, work: Path, names: tuple[str, ...], fault: str, when
                     found.traceback = "".join(traceback.format_exception(error))
             failed = [line for line in one.lines if "a task beside the monitor failed" in line]
             found.traceback = found.traceback or "".join(line for line in failed if "Error" in line)
-            journal._seen.clear()
+            journal.close_all()
     found.is_monitored = monitored and not found.refused
     found.lines = tuple(line for line in dict.fromkeys(printed) if is_news(line))
     labels: dict[int, str] = {}

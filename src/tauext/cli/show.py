@@ -238,22 +238,20 @@ def describe_servo(bundle: Bundle, names: list[str]) -> Content:
     """Empty where the joints are no servos', or report their torque and velocity."""
     servo = bundle.servo
     content: Content = {}
-    if servo.on and servo.torque_from.name in MADE_OF:
-        content["torque_made_of"] = MADE_OF[servo.torque_from.name]
+    made_of = {
+        "phase_current": "current of the windings",
+        "supply_current": "current of the supply, with the sign of the duty or of goal minus position",
+        "duty": "duty, less back-EMF",
+        "goal": "goal minus position by the gain of the servo's controller, less back-EMF",
+    }
+    if servo.on and servo.torque_from.name in made_of:
+        content["torque_made_of"] = made_of[servo.torque_from.name]
         for name in ("volts", "ohm", "back_emf_v_s", "nm_per_ampere", "duty_per_rad", "most_duty"):
             content[f"servo_{name}"] = each(names, (getattr(one, name) for one in servo.joints))
     if servo.on and servo.velocity_steps:
         content["velocity_from_position_steps"] = servo.velocity_steps
         content["encoder_counts_rad"] = each(names, (joint.count_rad for joint in servo.joints))
     return content
-
-
-MADE_OF = {
-    "phase_current": "current of the windings",
-    "supply_current": "current of the supply, with the sign of the duty or of goal minus position",
-    "duty": "duty, less back-EMF",
-    "goal": "goal minus position by the gain of the servo's controller, less back-EMF",
-}
 
 
 def describe_drift(bundle: Bundle, names: list[str]) -> Content:

@@ -227,14 +227,14 @@ class CurrentLoop:
 
     def __init__(self, keeper: AlarmJournal, stop: Callable[[str], None]):
         """stop: ends the command, not the loop alone."""
-        self._keeper, self.stop = keeper, stop
+        self._alarm_journal, self.stop = keeper, stop
         self._answering = threading.Lock()
         self.loop: Loop | None = None
 
     def answer(self, what: AnswerKind, by: str, alarm: int | None = None) -> None:
         loop = self._present
         with self._answering:
-            number = self._keeper.answer(what, by, alarm)
+            number = self._alarm_journal.answer(what, by, alarm)
         if number:
             loop.settle(number, f"{what}, by {by}")
 

@@ -130,7 +130,7 @@ def say(text: str) -> None:
 def keys() -> Iterator[Callable[[CurrentLoop], None]]:
     """Keys of a terminal answer the newest alarm or a question; without a terminal nothing is read."""
     if not sys.stdin or not sys.stdin.isatty():
-        yield lambda steering: None
+        yield lambda current_loop: None
         return
     import select
     import termios
@@ -140,7 +140,7 @@ def keys() -> Iterator[Callable[[CurrentLoop], None]]:
     before, ended = termios.tcgetattr(file), threading.Event()
     reading: list[threading.Thread] = []
 
-    def listen(steering: CurrentLoop) -> None:
+    def listen(current_loop: CurrentLoop) -> None:
         def work() -> None:
             while not ended.is_set():
                 if not select.select([file], [], [], 0.2)[0]:
@@ -152,7 +152,7 @@ def keys() -> Iterator[Callable[[CurrentLoop], None]]:
                 if not typed:
                     return
                 for key in typed:
-                    answer(steering, key)
+                    answer(current_loop, key)
 
         reading.append(threading.Thread(target=work, name="keys", daemon=True))
         reading[0].start()
@@ -169,13 +169,13 @@ def keys() -> Iterator[Callable[[CurrentLoop], None]]:
             termios.tcsetattr(file, termios.TCSADRAIN, before)
 
 
-def answer(steering: CurrentLoop, key: str) -> None:
+def answer(current_loop: CurrentLoop, key: str) -> None:
     """Give the answer of a key; other keys do nothing."""
     what = KEYS.get(key.lower())
     if what is None:
         return
     try:
-        steering.answer(what, "key")  # type: ignore[arg-type]
+        current_loop.answer(what, "key")  # type: ignore[arg-type]
     except TauextError as error:
         say(str(error))
     else:

@@ -122,11 +122,11 @@ class Coverage:
         self.fastest = np.maximum(self.fastest, lasting.max(axis=0))
         q, dq = q[::stride], dq[::stride]
         step_s = stride * period_s
-        place = np.clip(np.floor(q / self.width).astype(int) + CELLS // 2, 0, CELLS - 1)
+        position = np.clip(np.floor(q / self.width).astype(int) + CELLS // 2, 0, CELLS - 1)
         speed = np.searchsorted(SPEEDS_RAD_S, np.abs(dq), side="right")
         speed = np.where(dq < 0, speed + len(SPEEDS_RAD_S) * (speed > 0), speed)
         joint = np.arange(q.shape[1])
-        self.visited[joint, place] = True
+        self.visited[joint, position] = True
         still = np.abs(dq) < SPEEDS_RAD_S[0]
         self.rest_s += step_s * still.sum(axis=0)
         self.slow_s += step_s * (~still & (np.abs(dq) < SLOW_RAD_S)).sum(axis=0)
@@ -134,7 +134,7 @@ class Coverage:
             ways = np.sign(dq[~still[:, j], j])
             turns = np.diff(ways)
             self.reversals[j] += [int((turns < 0).sum()), int((turns > 0).sum())]
-        flat = np.ravel_multi_index((np.broadcast_to(joint, place.shape), place, speed), self.cells.shape)
+        flat = np.ravel_multi_index((np.broadcast_to(joint, position.shape), position, speed), self.cells.shape)
         new = self.cells.ravel()[flat] < OFTEN
         return flat, float(new.any(axis=1).mean())
 
@@ -297,7 +297,7 @@ def to_drop(
 # --- The sink.
 
 
-class KeepSink(RecordSink):
+class MotionRecorder(RecordSink):
     """Keeps recordings without contact column, coverage, and the bound of disk space.
 
     Every run, and every restart of the source's clock, is another epoch.
@@ -537,7 +537,7 @@ def trim_damaged(folder: Path, most_bytes: int) -> str:
 
     First recordings, then other files, at last those of the journal; the oldest first. The newest stays.
     """
-    found = {path: path.lstat() for place in (folder, folder / BUNDLES) for path in place.glob("*.damaged*")}
+    found = {path: path.lstat() for at in (folder, folder / BUNDLES) for path in at.glob("*.damaged*")}
     found = {
         path: status for path, status in found.items() if DAMAGED.match(path.name) and stat.S_ISREG(status.st_mode)
     }

@@ -56,7 +56,7 @@ from tauext_commission.journal import is_journal
 from tauext_commission.journal_lines import is_bundle_name
 from tauext_commission.lasting import LastingSource
 from tauext_commission.live import LiveSink
-from tauext_commission.motion_recorder import KeepSink, repaired
+from tauext_commission.motion_recorder import MotionRecorder, repaired
 from tauext_commission.processes import Child
 from tauext_commission.synced_file import set_aside, write_reserved, write_synced
 from tauext_commission.trainer import run_trainer
@@ -107,7 +107,11 @@ class Options:
 
 
 def run(
-    path: Path, text: str, options: Options, echo: Echo, listen: Callable[[CurrentLoop], None] = lambda steering: None
+    path: Path,
+    text: str,
+    options: Options,
+    echo: Echo,
+    listen: Callable[[CurrentLoop], None] = lambda current_loop: None,
 ) -> None:
     """Commission the arm of this source until Ctrl-C, SIGTERM or the line `stop`; the folder continues where it was.
 
@@ -136,7 +140,7 @@ def run(
     with folder.locked(), ExitStack() as stack:
         stack.callback(folder.close)
         commission = Commission(folder, text, options, echo, stack)
-        listen(commission.steering)
+        listen(commission.current_loop)
         commission.run()
 
 
@@ -195,7 +199,7 @@ class Commission:
         self._folder, self._text, self._options, self._echo, self._stack = folder, text, options, echo, stack
         self._asked_to_stop, self._stopping = threading.Event(), threading.Event()
         self._by = ""
-        self._record: KeepSink | None = None
+        self._record: MotionRecorder | None = None
         self._flights: FlightSink | None = None
         self._source: Source | None = None
         self._loop: Loop | None = None
@@ -203,13 +207,13 @@ class Commission:
         free_sockets(at, folder)
         self._live = LiveSink(at / "live.sock")
         stack.callback(self._live.end)
-        self._keeper = AlarmJournal(folder, lambda: self._record.epoch if self._record else 0, self._note)
-        stack.callback(self._keeper.end)
-        self._keeper.learn = self._learn
-        self._live.alarm = self._keeper.event
-        self.steering = CurrentLoop(self._keeper, self.stop)
+        self._alarm_journal = AlarmJournal(folder, lambda: self._record.epoch if self._record else 0, self._note)
+        stack.callback(self._alarm_journal.end)
+        self._alarm_journal.learn = self._learn
+        self._live.alarm = self._alarm_journal.event
+        self.current_loop = CurrentLoop(self._alarm_journal, self.stop)
         self._children: list[Child] = []
-        control = ControlSocket(at / "control.sock", self.steering, self._origin)
+        control = ControlSocket(at / "control.sock", self.current_loop, self._origin)
         stack.callback(control.close)
         self._own: dict[str, Any] = {"source": text, "control": str(at / "control.sock"), "live": str(at / "live.sock")}
         self._own["process"] = os.getpid()
@@ -362,38 +366,38 @@ class Commission:
         folder, options, live = self._folder, self._options, self._live
         settings, self._arm = facts.settings, json.loads(json.dumps(as_data(facts)))
         bundle = self._first_bundle()
-        record = KeepSink(folder, settings, source.name, options.disk_bytes, lambda: live.bundle or "")
+        record = MotionRecorder(folder, settings, source.name, options.disk_bytes, lambda: live.bundle or "")
         record.note = self._note
         recorder = _core.FlightRecorder(len(settings.joints), settings.period_ns, BEFORE_S, AFTER_S, True)
         flights = FlightSink(folder.flights, bundle, recorder, source.name)
         reactions = start_reactions(options.cell(settings.joints).reactions, source, publishers)
         chosen = LoopSettings(acknowledge_after_s=ASKING_S, core=options.core, priority=options.priority)
-        sinks = [*publishers, flights, record, self._keeper, live]
+        sinks = [*publishers, flights, record, self._alarm_journal, live]
         loop = Loop(bundle, source, sinks, reactions, None, recorder, chosen, arm=settings)
-        newest = max([self._keeper.newest, *(one.id for one in folder.labels())])  # an event's line may be lost
+        newest = max([self._alarm_journal.newest, *(one.id for one in folder.labels())])  # an event's line may be lost
         loop.note, loop.monitor.alarms = self._note, newest
         self._exchange = BundleExchange(loop, settings, self._exchanges.append)
         live.describe(settings.joints, settings.torque_units)
         if bundle is not None and isinstance(loop.monitor, _core.Monitor):
-            for sink in (live, self._keeper):
+            for sink in (live, self._alarm_journal):
                 sink.follow(bundle, loop.monitor)
             with suppress(OSError):
                 carried = (folder.path / CARRIED).read_bytes()
-                is_answered = bool((self._keeper.event(newest) or {}).get("answer"))
+                is_answered = bool((self._alarm_journal.event(newest) or {}).get("answer"))
                 if reason := loop.start_from(carried, newest, is_answered):
                     self._note(f"drift and alarm of the last run are not continued: {reason}")
         self._source, self._record, self._flights, self._loop = source, record, flights, loop
-        self.steering.loop = loop
+        self.current_loop.loop = loop
         if self._by:  # stopped meanwhile
             loop.stop(self._by)
         loop.run()
         self._news_of_flights()
         if self._again:
-            self._loop = self._source = self.steering.loop = None
+            self._loop = self._source = self.current_loop.loop = None
             self._again = False
             return True
         if not self._by:
-            self._has_ended, self.steering.loop = True, None  # an ended loop takes no answer
+            self._has_ended, self.current_loop.loop = True, None  # an ended loop takes no answer
             self._note(f"{source.name} has ended; training continues with what was recorded until Ctrl-C")
             self._asked_to_stop.wait()
         return False
@@ -529,7 +533,7 @@ class Commission:
 
     def _news_of_flights(self) -> None:
         for news in self._flights.news() if self._flights is not None else ():
-            self._keeper.flown(news)
+            self._alarm_journal.flown(news)
             if news.error:
                 self._note(f"flight of the {news.what} lost: {news.error}")
 
@@ -549,7 +553,7 @@ class Commission:
             self._noted_lost = bool(lost)
             self._lost_line_s = time.monotonic() if lost else self._lost_line_s
         live.lost = lost
-        asks = self._keeper.unanswered
+        asks = self._alarm_journal.unanswered
         if loop is None or not loop.samples:
             state = "connecting"
         elif self._question() or (asks is not None and age_s(asks.get("wall")) < ASKING_S):

@@ -12,7 +12,7 @@ from unittest import mock
 from tauext_commission import journal
 from tauext_commission.folder import CommissionFolder
 from tauext_commission.history_file import read_question
-from tauext_commission.motion_recorder import KeepSink
+from tauext_commission.motion_recorder import MotionRecorder
 from tauext_lab.sim.arms import rig_arm
 
 from tauext.data.recording import Recording
@@ -27,7 +27,7 @@ def filled(path: Path, recordings: list[Recording], budget: float = 1e9) -> Comm
     if not (path / "robot.xml").exists():
         (path / "robot.xml").write_text(rig_arm().xml)
     for recording in recordings:
-        sink = KeepSink(folder, arm, "sim", budget)
+        sink = MotionRecorder(folder, arm, "sim", budget)
         sink.open(first.joints, None)
         for begin in range(0, recording.samples, sink._rows):
             part = slice(begin, begin + sink._rows)

@@ -20,7 +20,7 @@ from made_bundles import JOINTS, pushed, watching_bundle
 from tauext_commission import journal
 from tauext_commission.folder import CommissionFolder
 from tauext_commission.history_file import lost_words
-from tauext_commission.motion_recorder import KeepSink
+from tauext_commission.motion_recorder import MotionRecorder
 from tauext_commission.promises import CalibrationPeaks
 from tauext_commission.run import Commission, Options, run
 from tauext_commission.trainer import Trainer
@@ -88,7 +88,7 @@ def add_answers(folder: CommissionFolder, numbers: range) -> None:
 def record(folder: CommissionFolder) -> None:
     """Two recordings of 10 s."""
     arm = SourceSettings(JOINTS, 1_000_000, ("N m",) * 2, "held")
-    sink = KeepSink(folder, arm, "script", 1e9)
+    sink = MotionRecorder(folder, arm, "script", 1e9)
     sink.open(JOINTS, None)
     motion = pushed(seconds=20.0, pushes=())
     for rows in (slice(0, 10_000), slice(10_000, 20_000)):

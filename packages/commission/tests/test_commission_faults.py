@@ -536,14 +536,14 @@ def test_an_arm_whose_folder_cannot_be_written_is_monitored(number, damage, copy
             assert not made.errors, made.errors
             wait(lambda: any("monitors the arm" in line for line in made.lines), str(made.lines))
             with pytest.raises(ConfigError, match=f"not stored: {os.strerror(number)}"):
-                made.control[0]._keeper.answer("touched", "test")
+                made.control[0]._alarm_journal.answer("touched", "test")
         assert tree_of(copy) == before
         printed = "\n".join(made.lines)
         assert os.strerror(number) in printed and "nothing is recorded, trained or stored" in printed, printed
         assert "tried again each second: " not in printed and " is chosen: " not in printed, printed  # no old news
         assert ("b0001" if damage.startswith("bundles") else "b0002") + " monitors the arm" in printed
         wait(lambda: any("can be written again" in line for line in made.lines), str(made.lines))
-        made.control[0]._keeper.answer("touched", "test")  # stored again, without a restart
+        made.control[0]._alarm_journal.answer("touched", "test")  # stored again, without a restart
         end(made)
     assert any(one.id < 0 and one.answer == "touched" for one in CommissionFolder(copy).labels())
 

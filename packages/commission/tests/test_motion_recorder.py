@@ -15,7 +15,15 @@ from tauext_commission import journal, motion_recorder
 from tauext_commission.answers import AlarmJournal
 from tauext_commission.folder import CommissionFolder, Segment, split_of
 from tauext_commission.history_file import watches
-from tauext_commission.motion_recorder import Coverage, KeepSink, learned_up_to, repaired, set_of, to_drop, trim_flights
+from tauext_commission.motion_recorder import (
+    Coverage,
+    MotionRecorder,
+    learned_up_to,
+    repaired,
+    set_of,
+    to_drop,
+    trim_flights,
+)
 
 from tauext.bundle.estimates import COLLISION
 from tauext.data.dataset import load_dataset
@@ -55,7 +63,7 @@ class Script:
 
     def __init__(self, folder: Path, budget: float = 1e9, start_ns: int = 0):
         self.folder = CommissionFolder.open(folder, create=True)
-        self.sink = KeepSink(self.folder, ARM, "test", budget, lambda: "b0001")
+        self.sink = MotionRecorder(self.folder, ARM, "test", budget, lambda: "b0001")
         self.sink.worker.patient = True
         self.notes: list[str] = []
         self.keeper = AlarmJournal(self.folder, lambda: self.sink.epoch, self.notes.append)

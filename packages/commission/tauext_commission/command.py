@@ -90,7 +90,7 @@ def commission(
         priority=priority,
     )
     with keys() as listening:
-        run(out, source, chosen if no_page else with_page(chosen, port), say, listening)
+        run(out, source, chosen if no_page else with_page(chosen, port), print_line, listening)
 
 
 def repair_folder(out: Path, source: str | None) -> None:
@@ -98,9 +98,9 @@ def repair_folder(out: Path, source: str | None) -> None:
     from tauext_commission.run import repaired_folder
 
     for line in repaired_folder(out):
-        say(line)
+        print_line(line)
     if source is not None:
-        say(f"{out}: the repair is complete; monitoring begins with {source}")
+        print_line(f"{out}: the repair is complete; monitoring begins with {source}")
 
 
 def with_page(options: Options, port: int) -> Options:
@@ -120,7 +120,7 @@ def with_page(options: Options, port: int) -> Options:
     return replace(options, page=serve, address=address, listening=listening, token=token)
 
 
-def say(text: str) -> None:
+def print_line(text: str) -> None:
     """Print a line at once; a closed terminal ends nothing."""
     with suppress(OSError):
         print(in_plain_letters(text), flush=True)
@@ -156,7 +156,9 @@ def keys() -> Iterator[Callable[[CurrentLoop], None]]:
 
         reading.append(threading.Thread(target=work, name="keys", daemon=True))
         reading[0].start()
-        say("keys: t touched, n nothing there; after a question: y learn, x do not; Ctrl-C ends tauext, not the arm")
+        print_line(
+            "keys: t touched, n nothing there; after a question: y learn, x do not; Ctrl-C ends tauext, not the arm"
+        )
 
     tty.setcbreak(file)
     try:
@@ -177,6 +179,6 @@ def answer(current_loop: CurrentLoop, key: str) -> None:
     try:
         current_loop.answer(what, "key")  # type: ignore[arg-type]
     except TauextError as error:
-        say(str(error))
+        print_line(str(error))
     else:
-        say(f"stored: {STORED[what]}")
+        print_line(f"stored: {STORED[what]}")

@@ -59,7 +59,7 @@ class Segment:
     """One recording of the folder."""
 
     name: str
-    """Of its file."""
+    """Name of its file."""
     number: int
     set: str
     """train, test or calibration; it never changes."""
@@ -198,8 +198,10 @@ class CommissionFolder:
                 whole bundle that cannot be written is opened as it is: see `unwritable`.
 
         Raises:
-            ConfigError: it is no such folder, holds something else, or cannot be written and has no whole bundle.
+            ConfigError: it is no such folder, holds something else, is of another version, or cannot be written and has
+                no whole bundle.
         """
+        journal.read(path)  # refuses one of another version
         folder = cls(path)
         if not create:
             if not (path / FACTS).is_file():
@@ -309,7 +311,7 @@ class CommissionFolder:
             except OSError:
                 if not self.unwritable:
                     raise
-                file = None  # nobody can write: there is nothing to hold
+                file = None  # no process can write, so that there is nothing to hold
             try:
                 if file is not None:
                     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

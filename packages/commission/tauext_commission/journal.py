@@ -139,7 +139,7 @@ class _Open:
     """None: the file cannot be used."""
     contents: Contents
     stamp: tuple[int, int, int] | None
-    """Of the database's file when it was checked as a whole."""
+    """Identity, size and time of the database's file at its last check."""
     version: int = 0
     """SQLite's data_version, which changes with every commit of another connection."""
     backed_up: tuple[Any, ...] = ()
@@ -438,7 +438,7 @@ def compact(folder: Path, choose: Callable[[Contents], tuple[Collection[int], Ma
 
 
 def _backup_of(folder: Path, contents: Contents) -> tuple[Any, ...]:
-    """What _Open.backed_up is for a backup with these lines."""
+    """Value of _Open.backed_up for a backup with these lines."""
     return (_stamp(folder / BACKUP), contents.last, len(contents.lines))
 
 

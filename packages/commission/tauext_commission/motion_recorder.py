@@ -41,7 +41,7 @@ CELLS, CELL_RAD, CELL_M = 128, 2 * np.pi / 64, 0.01
 SPEEDS_RAD_S = (0.02, 0.1, 0.3, 0.6, 1.0, 1.5, 2.2)
 """Edges of the speed cells, one set for each direction; below the first one a joint is at rest."""
 OFTEN = 12
-"""Recordings that visit a cell until it counts as known."""
+"""A cell that this many recordings have visited holds no new motion."""
 NEWS = 0.05
 """Least share of a recording's samples in cells that are not known yet, so that it is new motion."""
 LOOK_HZ = 50.0
@@ -89,7 +89,7 @@ class Coverage:
 
     @classmethod
     def load(cls, path: Path, arm: SourceSettings) -> Coverage:
-        """As it was saved; where the file is not usable, new but for the times in coverage.json beside it."""
+        """Load what save() wrote; an unusable file gives new cells, with the times in coverage.json beside it."""
         made = cls.new(arm)
         with suppress(OSError, ValueError, LookupError, TypeError):
             times = json_of(read_text(path.with_suffix(".json")))
@@ -209,7 +209,7 @@ TRAIN_S = 64 * 60.0
 SCHEDULE_MIN = (1, 2, 4, 8, 16, 32, 64)
 """Kept motion, [min], after which a training begins."""
 EVERY, TEST = 5, 4
-"""Of EVERY recordings the one with this remainder is for tests, and never trained on."""
+"""A recording whose number divided by EVERY has this remainder is for tests, and never trained on."""
 TEST_SHARE = 0.2
 """Largest share of the recordings' space that test motion after the training takes."""
 FRESH_S = 600.0
@@ -389,7 +389,7 @@ class MotionRecorder(RecordSink):
         self._try(self._keep_news, segment)
 
     def _keep_news(self, segment: dict[str, np.ndarray]) -> None:
-        if (begin := learns_from(self._kept)) != self._coverage.begin:  # of the changed arm, no motion is known yet
+        if (begin := learns_from(self._kept)) != self._coverage.begin:  # no motion of the changed arm is recorded yet
             self._coverage.begin = begin
             self._coverage.cells[:] = 0
         t_ns, period_s = segment["t_ns"], 1e-9 * self._arm.period_ns

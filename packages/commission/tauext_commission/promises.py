@@ -1,7 +1,7 @@
 """Limits of a commissioned arm from all its calibration motion, as `tauext calibrate` sets them, and their promise.
 
 CalibrationPeaks keep the peaks of the errors under one model. New motion is added as it comes, so that recordings may
-be dropped; touches that become known later are left out again. Promises makes bundles with limits by these peaks, and
+be dropped; touches that are reported later are left out again. Promises makes bundles with limits by these peaks, and
 counts what happens while they monitor.
 """
 
@@ -56,7 +56,7 @@ class CalibrationPeaks:
     def __init__(self, folder: CommissionFolder, base: str):
         self._folder, self.base = folder, base
         self.peaks: list[Peaks] = []
-        """For each hold time."""
+        """Largest errors, one entry for each hold time."""
         self.spans: list[Span] = []
         self.learned = 0
         self.limits_h = 0.0
@@ -127,7 +127,7 @@ class CalibrationPeaks:
     def _suspected(
         self, bundle: _core.Bundle, segments: Sequence[Segment], labels: Sequence[Label], since: int
     ) -> list[Label]:
-        """Label the touches that nobody reported in the newest motion; returns their labels."""
+        """Label touches without an alarm or an answer in the newest motion; returns their labels."""
 
         def load(number: int) -> Recording:
             _, epoch, from_ns, to_ns = self.spans[number]

@@ -54,7 +54,7 @@ from tauext_commission.folder import CommissionFolder, is_bundle
 from tauext_commission.history_file import is_commissioned, lost_words, read_question, unusable_words
 from tauext_commission.journal import is_journal
 from tauext_commission.journal_lines import is_bundle_name
-from tauext_commission.lasting import LastingSource
+from tauext_commission.lasting import DESCRIBE_S, LONGEST_RETRY_S, RETRY_S, LastingSource
 from tauext_commission.live import LiveSink
 from tauext_commission.motion_recorder import MotionRecorder, repaired
 from tauext_commission.processes import Child
@@ -65,8 +65,6 @@ Echo = Callable[[str], None]
 
 BEFORE_S, AFTER_S = 5.0, 2.0
 """Length of a flight around its event."""
-DESCRIBE_S = 10.0
-RETRY_S, LONGEST_RETRY_S = 1.0, 30.0
 CARRIED_S = 10.0
 """Time between two copies of what the next process continues from: drift, factors, load and the alarm that stands."""
 SETTLED_S = 3.5

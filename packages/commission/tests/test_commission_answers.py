@@ -31,7 +31,6 @@ from tauext_commission.promises import put_suspects
 from tauext_commission.run import AGAIN_S, Commission
 
 from tauext.bundle.estimates import CONTACT, OK, STALE, rounded
-from tauext.data.labels import Label
 from tauext.errors import ConfigError
 from tauext.monitor.changes import AlarmChange
 from tauext.monitor.control_lines import obey
@@ -223,23 +222,6 @@ def test_a_touch_without_an_alarm_is_a_label_of_its_own(tmp_path):
             assert obey(line, one.current_loop, "b") == f"error: no change waits for {yes}"
 
 
-def test_a_full_disk_confirms_nothing(tmp_path, monkeypatch):
-    with arm(tmp_path / "cell") as one:
-
-        def full(*_):
-            raise OSError(28, "No space left on device")
-
-        with monkeypatch.context() as patched:
-            patched.setattr(one.folder, "append_label", full)
-            assert obey("touched", one.current_loop, "test") == (
-                "error: touched: not stored: No space left on device; please answer again"
-            )
-        assert one.keeper.unanswered and not one.loop._answered  # the alarm stands, and is still asked about
-        assert [label.answer for label in read_labels(one.folder.path)] == ["unanswered"]
-        assert obey("touched", one.current_loop, "test") == "ok"
-    assert [label.answer for label in read_labels(one.folder.path)] == ["touched"]
-
-
 def test_lost_recordings_are_shown_on_the_page(tmp_path):
     one = Commission.__new__(Commission)
     one._folder = CommissionFolder.open(tmp_path / "cell", create=True)
@@ -271,16 +253,6 @@ def test_a_source_that_comes_and_goes_prints_one_line_a_minute(tmp_path, monkeyp
         assert one._live.lost == one._source.away  # the page shows each
     assert lines[:2] == ["NOTHING IS MONITORED: no sample for 2 s", "samples come again"]
     assert 16 <= len(lines) <= 20
-
-
-def test_an_answer_is_known_to_the_next_process(tmp_path):
-    folder = CommissionFolder.open(tmp_path / "cell", create=True)
-    folder.append_event({"id": 1, "epoch": 1, "t_ns": 1, "level": "collision", "answer": None})
-    folder.append_label(Label(1, 1, 1, 2, "nothing", "page", "", "b0001"))
-    keeper = AlarmJournal(folder, lambda: 1, print)
-    keeper.end()
-    assert keeper.event(1)["answer"] == "nothing" and keeper.unanswered is None
-    assert [one["answer"] for one in read_events(folder.path)] == ["nothing"]
 
 
 def test_a_flight_belongs_to_its_alarm_by_number(tmp_path):

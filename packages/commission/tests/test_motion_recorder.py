@@ -457,20 +457,6 @@ def test_flights_of_faults_do_not_crowd_out_collisions(tmp_path):
     ]  # fmt: skip
 
 
-def test_a_folder_of_something_else_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="no folder of `tauext commission`"):
-        CommissionFolder.open(tmp_path / "none")
-    (tmp_path / "notes.txt").touch()
-    with pytest.raises(ConfigError, match="not empty"):
-        CommissionFolder.open(tmp_path, create=True)
-    folder = CommissionFolder.open(tmp_path / "cell", create=True)
-    with folder.locked(), pytest.raises(ConfigError, match="another"), folder.locked():
-        pass
-    (folder.path / "commission.json").write_text('{"format": 9}')
-    with pytest.raises(ConfigError, match="format 9"):
-        CommissionFolder.open(folder.path)
-
-
 def test_what_was_learned_is_dropped_first():
     made = [Segment(f"s{k}", k, "calibration", 1, k, k, 100.0, 10) for k in range(10)]
     made[2] = replace(made[2], set="train")

@@ -35,7 +35,7 @@ def left_out(bundle: Bundle) -> tuple[str, ...]:
 
 
 def not_in_newtons(joints: Sequence[str], units: Sequence[str]) -> tuple[str, ...]:
-    """Of these joints, those whose answers are in none of N m, N and W."""
+    """Joints whose answers are in none of N m, N and W."""
     return tuple(joint for joint, unit in zip(joints, units, strict=True) if unit not in ("N m", "N", "W"))
 
 

@@ -149,10 +149,6 @@ class _Open:
     backup_damage: str = ""
     is_read_only: bool = False
 
-    def close(self) -> None:
-        if self.database is not None:
-            self.database.close()
-
 
 _open: dict[Path, _Open] = {}
 _using = threading.RLock()
@@ -171,8 +167,9 @@ def read(folder: Path) -> Contents:
 def close(folder: Path) -> None:
     """Close the database of a folder in this process."""
     with _using:
-        if (one := _open.pop(folder, None)) is not None:
-            one.close()
+        one = _open.pop(folder, None)
+        if one is not None and one.database is not None:
+            one.database.close()
 
 
 def close_all() -> None:
@@ -201,30 +198,29 @@ def _current(folder: Path, is_checked: bool = False) -> _Open:
     if one.database is not None:
         try:
             version = one.database.execute("PRAGMA data_version").fetchone()[0]
-            if version != one.version:
-                _append_new(one)
-                one.version = version
+            if version != one.version and (one.damage or not _has_grown(one)):
+                return _whole(folder)
+            one.version = version
         except sqlite3.Error:
             return _whole(folder)
     return one
 
 
-def _append_new(one: _Open) -> None:
-    """Read the lines that were appended since; all again if lines were removed."""
+def _has_grown(one: _Open) -> bool:
+    """Read the lines that were appended since; whether nothing else has changed."""
     assert one.database is not None
-    last, lines = one.contents.last, one.contents.lines
-    new = _lines(one.database.execute("SELECT * FROM line WHERE number > ? ORDER BY number", (last,)))
-    if one.database.execute("SELECT count(*) FROM line").fetchone()[0] != len(lines) + len(new):
-        lines, new = (), _lines(one.database.execute("SELECT * FROM line ORDER BY number"))
-    if new or not lines:
-        one.contents = Contents((*lines, *new.values()))
+    rows = one.database.execute("SELECT * FROM line WHERE number > ? ORDER BY number", (one.contents.last,)).fetchall()
+    lines = (*one.contents.lines, *_lines(rows).values())
+    if one.database.execute("SELECT count(*) FROM line").fetchone()[0] != len(lines):
+        return False
+    one.contents = Contents(lines)
+    return True
 
 
 def _whole(folder: Path) -> _Open:
     """All lines of the database, its backup, and those that this process has read before."""
-    before = _open.pop(folder, None)
-    if before is not None:
-        before.close()
+    before = _open.get(folder)
+    close(folder)
     if not any(os.path.lexists(folder / name) for name in (NAME, BACKUP)) and before is None:
         _expect_no_text(folder)
         return _Open(None, Contents(), None)
@@ -293,7 +289,9 @@ def _checked(path: Path, is_backup: bool = False) -> tuple[sqlite3.Connection | 
     database, lines = None, dict[int, Line]()
     try:
         database = _connect(path, is_backup or not _takes(path.parent))
-        application, version = (database.execute(f"PRAGMA {one}").fetchone()[0] for one in IDENTITY)
+        application, version = (
+            database.execute(f"PRAGMA {one}").fetchone()[0] for one in ("application_id", "user_version")
+        )
         if application != APPLICATION:
             raise sqlite3.DatabaseError("it is not a journal of tauext")
         if version > FORMAT:
@@ -302,21 +300,17 @@ def _checked(path: Path, is_backup: bool = False) -> tuple[sqlite3.Connection | 
                 "use the version that made it"
             )
         (found,) = database.execute("PRAGMA quick_check(1)").fetchone()
-        lines = _salvaged(database)
+        lines = _readable(database)
         if found != "ok" or len(lines) != database.execute("SELECT count(*) FROM line").fetchone()[0]:
             raise sqlite3.DatabaseError("its content is damaged")
         return database, lines, ""
     except (sqlite3.Error, ConfigError) as error:
         if database is not None:
-            with suppress(sqlite3.Error):
-                lines = lines or _salvaged(database)
+            lines = lines or _readable(database)
             database.close()
         if isinstance(error, ConfigError):
             raise
         return None, lines, str(error)
-
-
-IDENTITY = ("application_id", "user_version")
 
 
 def _connect(path: Path, is_read_only: bool) -> sqlite3.Connection:
@@ -331,16 +325,12 @@ def _connect(path: Path, is_read_only: bool) -> sqlite3.Connection:
     return database
 
 
-def _salvaged(database: sqlite3.Connection) -> dict[int, Line]:
-    """All whole lines up to a damage, from the begin and from the end."""
-    found: dict[int, Line] = {}
-    for order in ("ASC", "DESC"):
-        rows = database.execute(f"SELECT * FROM line ORDER BY number {order}")
-        with suppress(sqlite3.Error):
-            for row in rows:
-                found |= _lines([row])
-            break
-    return found
+def _readable(database: sqlite3.Connection) -> dict[int, Line]:
+    """All whole lines up to a damage."""
+    rows: list[Row] = []
+    with suppress(sqlite3.Error):
+        rows.extend(database.execute("SELECT * FROM line ORDER BY number"))
+    return _lines(rows)
 
 
 def _lines(rows: Iterable[Row]) -> dict[int, Line]:

@@ -300,6 +300,20 @@ def test_a_damaged_line_never_counts_and_gaps_are_counted(tmp_path):
     assert journal.read(tmp_path).last == 13 and not journal.read(tmp_path).lost()
 
 
+def test_lines_of_the_backup_return_although_another_process_appends_before_the_repair(tmp_path):
+    for k in range(9):
+        journal.append(tmp_path, "answer", {"id": k})
+    journal.mend(tmp_path)
+    with closing(sqlite3.connect(tmp_path / journal.NAME, isolation_level=None)) as other:
+        other.execute("DELETE FROM line WHERE number < 4")
+        assert journal.read(tmp_path).last == 9
+        other.execute("INSERT INTO line VALUES (?, ?, ?, ?)", journal._row({"number": 10, "kind": "answer", "id": 9}))
+        assert len(journal.read(tmp_path).lines) == 10
+        assert "3 of 10 lines are refilled" in journal.mend(tmp_path)
+    journal.close_all()
+    assert [one["id"] for one in journal.read(tmp_path).lines] == list(range(10))
+
+
 def test_lines_survive_a_kill_without_a_backup(tmp_path):
     """The log of SQLite holds them, also where the folder takes no files any more."""
     code = "import os, sys; from pathlib import Path; from tauext_commission import journal\n"

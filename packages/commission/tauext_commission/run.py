@@ -13,7 +13,6 @@ import socket
 import tempfile
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
@@ -230,7 +229,8 @@ class Commission:
         self._shown = folder.shown
         self._active = 0
         """Number of the activation whose bundle the loop took."""
-        self._exchanges: deque[Exchanged] = deque()
+        self._exchanged: Exchanged | None = None
+        """The newest exchange of the bundle until the history has it; another one comes 10 s later at the earliest."""
         self._why_refused, self._again_s = ("", ""), math.inf
         """The newest bundle that did not take over and why, and the monotonic time at which it is tried again."""
         self._again = False
@@ -374,7 +374,7 @@ class Commission:
         loop = Loop(bundle, source, sinks, reactions, None, recorder, chosen, arm=settings)
         newest = max([self._alarm_journal.newest, *(one.id for one in folder.labels())])  # an event's line may be lost
         loop.note, loop.monitor.alarms = self._note, newest
-        self._exchange = BundleExchange(loop, settings, self._exchanges.append)
+        self._exchange = BundleExchange(loop, settings, self._keep_exchanged)
         live.describe(settings.joints, settings.torque_units)
         if bundle is not None and isinstance(loop.monitor, _core.Monitor):
             for sink in (live, self._alarm_journal):
@@ -501,9 +501,9 @@ class Commission:
         if path is not None and (is_new or (now_s > self._again_s and path.stem != self._live.bundle)):
             self._active, self._again_s = now, math.inf
             exchange.bring(path, lambda why: self._refused(path.stem, why))
-        while self._exchanges:
-            self._note_exchange(self._exchanges[0])
-            self._exchanges.popleft()  # a full disk leaves it
+        if (done := self._exchanged) is not None:
+            self._note_exchange(done)
+            self._exchanged = None if self._exchanged is done else self._exchanged  # a full disk leaves it
 
     def _keep_carried(self, carried: bytes, now_s: float) -> None:
         """Write what the next process continues from now and then, and each second after an alarm rose or fell."""
@@ -521,6 +521,10 @@ class Commission:
             self._why_refused, active = (bundle, why), self._folder.active()
             if active is not None and active.stem == bundle:  # else a newer one has its turn
                 self._again_s = time.monotonic() + AGAIN_S
+
+    def _keep_exchanged(self, done: Exchanged) -> None:
+        """Called in the loop's thread, which must not wait for the disk."""
+        self._exchanged = done
 
     def _note_exchange(self, done: Exchanged) -> None:
         self._folder.save(running=done.bundle)

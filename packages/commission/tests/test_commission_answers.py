@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections import deque
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from types import SimpleNamespace
@@ -285,7 +284,7 @@ def test_a_bundle_that_could_not_take_over_is_tried_again(tmp_path, monkeypatch)
     one, asked, lines = Commission.__new__(Commission), [], []
     one._folder = CommissionFolder.open(tmp_path / "cell", create=True)
     one._live, one._by, one._arm = SimpleNamespace(bundle="b0001"), "", {"period_ns": 10**6}
-    one._active, one._again_s, one._why_refused, one._exchanges = 0, math.inf, ("", ""), deque()
+    one._active, one._again_s, one._why_refused, one._exchanged = 0, math.inf, ("", ""), None
     one._echo = lines.append
     loop = SimpleNamespace(bring=lambda path, done: asked.append((path.stem, done)))
     for name in ("b0001", "b0002"):
@@ -302,7 +301,7 @@ def test_a_bundle_that_could_not_take_over_is_tried_again(tmp_path, monkeypatch)
     assert lines == ["b0002 does not take over: b0002 stays out: a contact lasts"]
     asked[-1][1]("")
     one._live.bundle = "b0002"
-    one._exchanges.append(Exchanged("b0002", "b0001", 1, 1, 1000, b"", b"", 0, 5.0))
+    one._exchanged = Exchanged("b0002", "b0001", 1, 1, 1000, b"", b"", 0, 5.0)
     with monkeypatch.context() as full:
         full.setattr(CommissionFolder, "save", lambda *_, **__: (_ for _ in ()).throw(OSError(28, "full")))
         with pytest.raises(OSError, match="full"):

@@ -59,7 +59,7 @@ FOLDERS = {
 there may be those of strangers."""
 MARKS = {"commission.json": "commission"}
 """Commands of packages by the files that mark the folders they make."""
-LABELLED = ("journal.jsonl", "journal.copy.jsonl")
+LABELLED = ("journal.db", "journal.backup.db")
 """Files that mark folders whose recordings have labels; the part `touch-labels` reads them."""
 IMPORTED = {"meta/info.json": "lerobot"}
 """Importers of packages by the files that mark the folders they read."""

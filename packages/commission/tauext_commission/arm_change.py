@@ -153,7 +153,7 @@ class DayComparison:
         return up_to(newest, STROKES_S)[::-1] if len(self._alarmed(newest)) >= CHANGED_SHARE * len(newest) else []
 
     def _alarmed(self, segments: Sequence[Segment]) -> list[Segment]:
-        """Those with alarms that nobody called a touch."""
+        """Recordings with alarms that no answer calls a touch."""
         labels = [one for one in self.folder.labels() if one.id > 0 and one.answer in ("unanswered", "nothing")]
         return [one for one in segments if any(meets(one, label) for label in labels)]
 

@@ -32,7 +32,7 @@ from tauext.monitor.touch_place import PlaceFinder
 
 # --- The newest samples.
 
-RING_S = 60.0
+RECENT_S = 60.0
 """Time that is replayed to a new bundle's monitor, so that its drift trackers have strokes of every joint, [s]."""
 MARK_S = 1.0
 """Time between two states from which a replay may start, [s]."""
@@ -61,14 +61,14 @@ class RecentSamples:
 
     def __init__(self, joints: int, period_ns: int):
         self._slack = max(10, round(1e9 / period_ns))
-        self.rows = max(1, round(RING_S * 1e9 / period_ns)) + self._slack
+        self.rows = max(1, round(RECENT_S * 1e9 / period_ns)) + self._slack
         self.count = 0
         """Number of samples so far; the next one has this row."""
         self._t_ns, self._came = np.zeros(self.rows, dtype=np.int64), np.zeros(self.rows, dtype=bool)
         self._held = np.zeros(self.rows, dtype=np.uint8)
         self._q, self._dq, self._tau, self._temperature = (np.full((self.rows, joints), np.nan) for _ in range(4))
         self._warm, self._silent = False, 0
-        self._marks: deque[tuple[int, bytes, int]] = deque(maxlen=round(RING_S / MARK_S) + 1)
+        self._marks: deque[tuple[int, bytes, int]] = deque(maxlen=round(RECENT_S / MARK_S) + 1)
         self._acts: deque[tuple[int, Callable[[_core.Monitor], None]]] = deque(maxlen=1000)
 
     def add(self, block: Block, held: np.ndarray) -> None:

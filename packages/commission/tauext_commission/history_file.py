@@ -111,7 +111,7 @@ def labels_of(journal: Contents) -> tuple[Label, ...]:
 
 
 def label_of_alarm(content: Mapping[str, Any]) -> Label:
-    """The label of an alarm that nobody has answered, from its line; KeyError or ValueError where it is none."""
+    """Make the label of an unanswered alarm from its line; KeyError or ValueError where it is none."""
     span = int(content["t_ns"]), int(content.get("held_ns") or content["t_ns"])
     words = str(content.get("wall") or ""), str(content.get("bundle") or "")
     return Label(int(content["id"]), int(content["epoch"]), *span, "unanswered", "nobody", *words)
@@ -185,7 +185,7 @@ def _events(journal: Contents) -> tuple[dict[str, Any], ...]:
     answers: dict[Any, dict[str, Any]] = {one.id: {"answer": one.answer, "by": one.by} for one in answered}
     newest: dict[Any, dict[str, Any]] = {}
     for one in journal.kinds.get(ALARM, ()):
-        own = {key: value for key, value in one.items() if key not in ("number", "kind", "format", "journal")}
+        own = {key: value for key, value in one.items() if key not in ("number", "kind")}
         newest[one.get("id")] = own | answers.get(one.get("id"), {"answer": None})
     return tuple(newest.values())
 
@@ -208,7 +208,7 @@ def read_question(folder: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Watch:
-    """One time of a bundle in charge, in seconds of received samples."""
+    """A time in which a bundle was in charge, in seconds of received samples."""
 
     bundle: str
     from_s: float

@@ -1,8 +1,8 @@
-"""A journal: numbered, checked lines of JSON in two files, to which several processes append.
+"""The journal of a folder: numbered lines in one SQLite database, to which several processes append.
 
-A line is on the disk twice before append() returns. Readers join both files, so that damage to one loses nothing, and
-numbers without gaps show what is lost in both. It survives `kill -9`, a reboot and a full disk. compact() leaves out
-lines that newer ones replace; a line names their numbers.
+A line is on the disk when append() returns. It survives `kill -9`, a reboot and a full disk. A second database is a
+backup, at most a second older while the command runs, from which a damaged one is refilled. Numbers without gaps show
+which lines are lost in both. compact() removes lines that newer ones replace; a line has their numbers.
 """
 
 from __future__ import annotations
@@ -10,26 +10,34 @@ from __future__ import annotations
 import errno
 import json
 import os
+import sqlite3
 import stat
 import threading
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from secrets import token_hex
 from typing import Any
 from zlib import crc32
 
-from tauext.files.plain_file import FORMAT, expect_file, json_of
+from tauext.errors import ConfigError
+from tauext.files.plain_file import json_of
 from tauext_commission.journal_lines import is_whole, why_unusable
-from tauext_commission.synced_file import lock, set_aside, sync_folder, write_all, write_reserved, write_synced
+from tauext_commission.synced_file import lock, set_aside, sync_folder, write_reserved
 
-NAME, COPY, LOCK = "journal.jsonl", "journal.copy.jsonl", ".journal.lock"
-CHECK = b'{"crc32": "%08x", '
-"""Begin of a line: checksum of the object that the rest of the line is, after its opening brace."""
+NAME, BACKUP, LOCK = "journal.db", "journal.backup.db", ".journal.lock"
+OLD = "journal.jsonl"
+"""A journal of text, as versions before the first release had it."""
+FORMAT, APPLICATION = 1, 0x74617565
+"""`user_version` and `application_id` of the database."""
+SCHEMA = f"""
+PRAGMA application_id = {APPLICATION};
+PRAGMA user_version = {FORMAT};
+CREATE TABLE line (number INTEGER PRIMARY KEY, kind TEXT NOT NULL, content TEXT NOT NULL, crc32 INTEGER NOT NULL);
+"""
 REPAIR = "repair"
 """Kind of the line with which a person accepts that numbers are lost: `lost` holds their first and last."""
 COMPACTED = "compacted"
@@ -37,9 +45,9 @@ COMPACTED = "compacted"
 UNUSABLE = "unusable"
 """Kind of a line whose values break a rule of journal_lines.py: `why` holds the reason, its content is left out. It
 counts as lost, as it may have been an answer."""
-TAIL = 64
-"""Bytes before the end of what was read, by which a grown file is distinguished from another one."""
 Line = dict[str, Any]
+Row = tuple[int, str, str, int]
+"""Number, kind, content as JSON, and checksum of these three."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,131 +132,234 @@ def joined_ranges(found: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 @dataclass
-class _Seen:
-    """What was read of a folder's journal."""
+class _Open:
+    """A folder's journal in this process."""
 
-    stamps: tuple[Any, ...]
-    end: int
-    tail: bytes
+    database: sqlite3.Connection | None
+    """None: the file cannot be used."""
     contents: Contents
-    is_even: bool
-    """Whether both files had the same content."""
+    stamp: tuple[int, int, int] | None
+    """Identity, size and time of the database's file at its last check."""
+    version: int = 0
+    """SQLite's data_version, which changes with every commit of another connection."""
+    backed_up: tuple[Any, ...] = ()
+    """Stamp of the backup, and number of its last line and of its lines."""
+    damage: str = ""
+    """Why the database must be written again; empty: it is whole."""
+    backup_damage: str = ""
+    is_read_only: bool = False
 
 
-_seen: dict[Path, _Seen] = {}
-_reading = threading.RLock()
+_open: dict[Path, _Open] = {}
+_using = threading.RLock()
 
 
 def read(folder: Path) -> Contents:
-    """The journal of a folder, from both files; without them, or where nothing in them is readable, empty."""
-    with _reading:
-        seen, stamps = _seen.get(folder), _stamps(folder)
-        if seen is None or seen.stamps != stamps:
-            seen = (seen and _grown(folder, seen, stamps)) or _whole(folder, seen, stamps)
-            _seen[folder] = seen
-        return seen.contents
+    """The journal of a folder, with the backup's lines where lines are missing; without both, empty.
+
+    Raises:
+        ConfigError: it is of another version of tauext.
+    """
+    with _using:
+        return _current(folder).contents
+
+
+def close(folder: Path) -> None:
+    """Close the database of a folder in this process."""
+    with _using:
+        one = _open.pop(folder, None)
+        if one is not None and one.database is not None:
+            one.database.close()
+
+
+def close_all() -> None:
+    """Close the databases of all folders in this process."""
+    for folder in tuple(_open):
+        close(folder)
 
 
 def is_journal(folder: Path) -> bool:
     """Whether a journal, or what is left of one, lies in the folder."""
-    return any((folder / name).is_file() for name in (NAME, COPY))
+    return any((folder / name).is_file() for name in (NAME, BACKUP, OLD))
 
 
-def _stamps(folder: Path) -> tuple[Any, ...]:
-    return tuple(map(_stamp, (folder / NAME, folder / COPY)))
+def _current(folder: Path, is_checked: bool = False) -> _Open:
+    """The journal as it is now.
+
+    Args:
+        is_checked: check both files again if one has changed beside the log of SQLite.
+    """
+    one, stamp = _open.get(folder), _stamp(folder / NAME)
+    is_same = one is not None and (stamp or (0,))[0] == (one.stamp or (0,))[0]
+    if one is None or not is_same or (one.is_read_only and _takes(folder)):
+        return _whole(folder)
+    if is_checked and (stamp != one.stamp or _stamp(folder / BACKUP) != one.backed_up[0]):
+        return _whole(folder)
+    if one.database is not None:
+        try:
+            version = one.database.execute("PRAGMA data_version").fetchone()[0]
+            if version != one.version and (one.damage or not _has_grown(one)):
+                return _whole(folder)
+            one.version = version
+        except sqlite3.Error:
+            return _whole(folder)
+    return one
+
+
+def _has_grown(one: _Open) -> bool:
+    """Read the lines that were appended since; whether nothing else has changed."""
+    assert one.database is not None
+    rows = one.database.execute("SELECT * FROM line WHERE number > ? ORDER BY number", (one.contents.last,)).fetchall()
+    lines = (*one.contents.lines, *_lines(rows).values())
+    if one.database.execute("SELECT count(*) FROM line").fetchone()[0] != len(lines):
+        return False
+    one.contents = Contents(lines)
+    return True
+
+
+def _whole(folder: Path) -> _Open:
+    """All lines of the database, its backup, and those that this process has read before."""
+    before = _open.get(folder)
+    close(folder)
+    if not any(os.path.lexists(folder / name) for name in (NAME, BACKUP)) and before is None:
+        _expect_no_text(folder)
+        return _Open(None, Contents(), None)
+    path, backup = folder / NAME, folder / BACKUP
+    stamp = _stamp(path)
+    database, lines, damage = _checked(path)
+    copy, copied, backup_damage = _checked(backup, is_backup=True)
+    if copy is not None:
+        copy.close()
+    found = copied | lines
+    if before is not None and database is None and _is_there(folder):
+        found = {int(one["number"]): one for one in before.contents.lines} | found
+    for first, last in dropped_ranges(found[number] for number in sorted(found)):
+        for number in [one for one in found if first <= one <= last]:
+            del found[number]
+    damage = damage or "lines are missing" * bool(found.keys() - lines.keys())
+    contents = Contents(tuple(found[number] for number in sorted(found)))
+    one = _Open(database, contents, stamp, damage=damage, backup_damage=backup_damage, is_read_only=not _takes(folder))
+    one.backed_up = (_stamp(backup), max(copied, default=0), len(copied))
+    if database is not None:
+        one.version = database.execute("PRAGMA data_version").fetchone()[0]
+    _open[folder] = one
+    return one
+
+
+def _takes(folder: Path) -> bool:
+    return os.access(folder, os.W_OK)
+
+
+def _expect_no_text(folder: Path) -> None:
+    """Raise ConfigError if the folder has a journal of text."""
+    if (folder / OLD).is_file():
+        raise ConfigError(
+            f"{folder}: its journal is a text file of an earlier version of tauext, which this one does not read; "
+            "begin again with `tauext commission --out NEW`"
+        )
 
 
 def _stamp(path: Path) -> tuple[int, int, int] | None:
-    try:
-        status = path.stat()
-    except OSError:
-        return None
-    return status.st_ino, status.st_size, status.st_mtime_ns
-
-
-def _grown(folder: Path, seen: _Seen, stamps: tuple[Any, ...]) -> _Seen | None:
-    """What was read, with the lines that were appended since; None: the files are others than those."""
-    (now, copy), before = stamps, seen.stamps[0]
-    if not now or not before or now[0] != before[0] or now[1] < seen.end or (copy and copy[1] > now[1]):
-        return None
-    if any(a and b and a[1] == b[1] and a != b for a, b in zip(stamps, seen.stamps, strict=True)):
-        return None  # written over in place
-    try:
-        expect_file(folder / NAME)
-        with (folder / NAME).open("rb") as file:
-            file.seek(seen.end - len(seen.tail))
-            if file.read(len(seen.tail)) != seen.tail:
-                return None
-            added = file.read()
-    except OSError:
-        return None
-    added = added[: added.rfind(b"\n") + 1]  # another process may be writing the rest
-    fresh = [_parsed(line) for line in added.splitlines()]
-    first = seen.contents.last
-    if any(one is None or one["number"] != first + k for k, one in enumerate(fresh, 1)):
-        return None
-    contents = Contents((*seen.contents.lines, *filter(None, fresh))) if fresh else seen.contents
-    return _Seen(stamps, seen.end + len(added), (seen.tail + added)[-TAIL:], contents, seen.is_even)
-
-
-def _whole(folder: Path, seen: _Seen | None, stamps: tuple[Any, ...]) -> _Seen:
-    """All lines of both files, and those that this process has read before from the same journal."""
-    raw, copy = (_bytes(folder / name) for name in (NAME, COPY))
-    lines = _lines(raw) if raw == copy else _joined(_lines(copy), _lines(raw))
-    before = seen.contents.lines if seen else ()
-    if before and before[0].get("journal") == lines.get(1, before[0]).get("journal"):
-        lines = _joined({int(one["number"]): one for one in before}, lines) if _is_there(folder) else lines
-    for first, last in dropped_ranges(lines[number] for number in sorted(lines)):
-        for number in range(first, last + 1) if last - first < len(lines) else [n for n in lines if first <= n <= last]:
-            lines.pop(number, None)  # the other file, or this process, still has it
-    end = raw.rfind(b"\n") + 1
-    contents = Contents(tuple(lines[number] for number in sorted(lines)))
-    return _Seen(stamps, end, raw[max(0, end - TAIL) : end], contents, raw == copy)
+    """Identity, size and time of change of a file that is no link."""
+    with suppress(OSError):
+        status = path.lstat()
+        if stat.S_ISREG(status.st_mode):
+            return status.st_ino, status.st_size, status.st_mtime_ns
+    return None
 
 
 def _is_there(folder: Path) -> bool:
     """Whether the folder is still one with other files: one that was removed has no journal any more."""
     try:
-        return any(one.name not in (NAME, COPY, LOCK) for one in folder.iterdir())
+        return any(not one.name.startswith((NAME, BACKUP, LOCK)) for one in folder.iterdir())
     except OSError:
         return False
 
 
-def _bytes(path: Path) -> bytes:
-    """The content of a file; empty where it cannot be read."""
-    with suppress(OSError):
-        expect_file(path)
-        with path.open("rb") as file:
-            return bytes(file.read())
-    return b""
+def _checked(path: Path, is_backup: bool = False) -> tuple[sqlite3.Connection | None, dict[int, Line], str]:
+    """The database of a file, all lines that can be read, and its damage in words.
+
+    Raises:
+        ConfigError: it is of a later version of tauext.
+    """
+    if not os.path.lexists(path):
+        return None, {}, "it is missing"
+    if _stamp(path) is None:
+        return None, {}, "it is no file"
+    database, lines = None, dict[int, Line]()
+    try:
+        database = _connect(path, is_backup or not _takes(path.parent))
+        application, version = (
+            database.execute(f"PRAGMA {one}").fetchone()[0] for one in ("application_id", "user_version")
+        )
+        if application != APPLICATION:
+            raise sqlite3.DatabaseError("it is not a journal of tauext")
+        if version > FORMAT:
+            raise ConfigError(
+                f"{path}: has format {version}, which this version of tauext does not read (it reads {FORMAT}); "
+                "use the version that made it"
+            )
+        (found,) = database.execute("PRAGMA quick_check(1)").fetchone()
+        lines = _readable(database)
+        if found != "ok" or len(lines) != database.execute("SELECT count(*) FROM line").fetchone()[0]:
+            raise sqlite3.DatabaseError("its content is damaged")
+        return database, lines, ""
+    except (sqlite3.Error, ConfigError) as error:
+        if database is not None:
+            lines = lines or _readable(database)
+            database.close()
+        if isinstance(error, ConfigError):
+            raise
+        return None, lines, str(error)
 
 
-def _lines(raw: bytes) -> dict[int, Line]:
-    return {int(one["number"]): one for one in map(_parsed, raw.split(b"\n")) if one}
+def _connect(path: Path, is_read_only: bool) -> sqlite3.Connection:
+    """Open a database; one in a folder that takes no files is read without the files of SQLite's log."""
+    log = path.with_name(f"{path.name}-wal")
+    mode = "rw" if not is_read_only else "ro" if log.exists() and log.stat().st_size else "ro&immutable=1"
+    uri = f"{path.resolve().as_uri()}?mode={mode}"
+    database = sqlite3.connect(uri, timeout=60.0, isolation_level=None, check_same_thread=False, uri=True)
+    if not is_read_only:
+        database.execute("PRAGMA journal_mode = WAL")
+        database.execute("PRAGMA synchronous = FULL")
+    return database
 
 
-def _joined(lines: dict[int, Line], newer: dict[int, Line]) -> dict[int, Line]:
-    """Lines of two origins: of each number the newer one, unless that alone cannot be used."""
-    kept = {number for number, one in newer.items() if one.get("kind") == UNUSABLE and number in lines}
-    return lines | {number: one for number, one in newer.items() if number not in kept}
+def _readable(database: sqlite3.Connection) -> dict[int, Line]:
+    """All whole lines up to a damage."""
+    rows: list[Row] = []
+    with suppress(sqlite3.Error):
+        rows.extend(database.execute("SELECT * FROM line ORDER BY number"))
+    return _lines(rows)
 
 
-def _parsed(line: bytes) -> Line | None:
-    """The object of a line, or a line of kind UNUSABLE in its place; None: the line is damaged."""
-    body = b"{" + line[len(CHECK % 0) :]
-    if not line.startswith(CHECK % crc32(body)):
-        return None
-    with suppress(ValueError):
-        one = json_of(body)
-        if isinstance(one, dict) and is_whole(one.get("number"), least=1):
-            why = why_unusable(one)
-            return {"number": one["number"], "kind": UNUSABLE, "why": why} if why else one
-    return None
+def _lines(rows: Iterable[Row]) -> dict[int, Line]:
+    """The lines of these rows by number; one that breaks a rule is of kind UNUSABLE, a damaged one is left out."""
+    found: dict[int, Line] = {}
+    for number, kind, text, check in rows:
+        if check != _check(number, kind, text):
+            continue
+        with suppress(ValueError):
+            content = json_of(text)
+            if isinstance(content, dict) and is_whole(number, least=1):
+                line = {"number": number, "kind": kind} | content
+                why = why_unusable(line)
+                found[number] = {"number": number, "kind": UNUSABLE, "why": why} if why else line
+    return found
 
 
-def _line(content: Mapping[str, Any]) -> bytes:
-    body = json.dumps(content, allow_nan=False).encode()
-    return CHECK % crc32(body) + body[1:] + b"\n"
+def _check(number: object, kind: object, text: object) -> int:
+    return crc32(f"{number} {kind} {text}".encode(errors="replace"))
+
+
+def _row(line: Mapping[str, Any]) -> Row:
+    number, kind = int(line["number"]), str(line["kind"])
+    text = _text({key: value for key, value in line.items() if key not in ("number", "kind")})
+    return number, kind, text, _check(number, kind, text)
+
+
+def _text(content: Mapping[str, Any]) -> str:
+    return json.dumps(content, allow_nan=False)
 
 
 # --- Writing.
@@ -264,144 +375,155 @@ def append(folder: Path, kind: str, content: Mapping[str, Any], after: int = 0) 
         OSError: the line cannot be written; the journal is as before.
     """
     with _locked(folder):
-        words = "" if is_even(folder) else _mend(folder)
-        contents = read(folder)
-        first = {} if contents.lines else {"format": FORMAT, "journal": token_hex(8)}
-        line = _line({"number": max(contents.last, after) + 1, "kind": kind} | first | dict(content))
-        if (found := _parsed(line[:-1])) is None or found["kind"] == UNUSABLE:  # it would not count
-            why = "it has no number" if found is None else str(found["why"])
-            raise OSError(errno.EINVAL, f"the journal takes no such line: {why}")
-        write_reserved(folder, lambda: _add(folder / NAME, line))
-        with suppress(OSError):  # the next append refills it
-            write_reserved(folder, lambda: _add(folder / COPY, line))
-        if first:
-            sync_folder(folder)
+        one = _current(folder)
+        words = _mend(folder, one) if one.database is None or one.damage else ""
+        one = _current(folder)
+        row = _row({"number": max(one.contents.last, after) + 1, "kind": kind} | dict(content))
+        line = _lines([row])[row[0]]
+        if line["kind"] == UNUSABLE:
+            raise OSError(errno.EINVAL, f"the journal takes no such line: {line['why']}")
+        write_reserved(folder, lambda: _insert(one, [row]))
+        one.contents = Contents((*one.contents.lines, line))
     return words
 
 
 def mend(folder: Path) -> str:
-    """Refill each of the two files from the other one; what was done in words, or empty.
+    """Write the database again if it is damaged, and renew the backup; what was done in words, or empty.
 
     Raises:
         OSError: the folder cannot be written.
     """
     with _locked(folder):
-        return _mend(folder)
+        one = _current(folder, is_checked=True)
+        words = [_mend(folder, one)] if one.damage and one.contents.lines else []
+        one = _current(folder)
+        if one.contents.lines and one.backed_up != _backup_of(folder, one.contents):
+            if is_damaged := bool(one.backup_damage) and os.path.lexists(folder / BACKUP):
+                words.append(f"{BACKUP} was damaged ({one.backup_damage}), and is written again")
+            _back_up(folder, one, is_damaged)
+        return "; ".join(words)
 
 
 def compact(folder: Path, choose: Callable[[Contents], tuple[Collection[int], Mapping[str, Any]] | None]) -> None:
-    """Leave lines out of both files, and add a line that names them.
-
-    The files are replaced one after the other, each at once. A reader of an old and a new one ignores what is left out,
-    so that a process may be killed in between.
+    """Remove lines, and add a line that has their numbers, at once.
 
     Args:
-        choose: numbers of the lines to leave out, and the content of the new line; None: nothing is worth it. Other
+        choose: numbers of the lines to remove, and the content of the new line; None: nothing is worth it. Other
             processes wait meanwhile.
 
     Raises:
-        OSError: a file cannot be written; the journal has the same content as before.
+        OSError: the database cannot be written; the journal has the same content as before.
     """
     with _locked(folder):
-        if not is_even(folder) or not read(folder).lines or (chosen := choose(read(folder))) is None:
+        one = _current(folder)
+        if one.database is None or one.damage or (chosen := choose(one.contents)) is None:
             return
-        contents, (numbers, content) = read(folder), chosen
-        kept = [one for one in contents.lines if one["number"] not in numbers]
-        out = [(int(one["number"]),) * 2 for one in contents.lines if one["number"] in numbers]
-        dropped = [list(one) for one in joined_ranges([*out, *contents._accepted])]
-        kept.append({"number": contents.last + 1, "kind": COMPACTED} | dict(content) | {"dropped": dropped})
-        text = b"".join(map(_line, kept))
-        for path in _files(folder):
-            write_synced(path, text.decode())
-        _seen[folder] = _Seen(_stamps(folder), len(text), text[-TAIL:], Contents(tuple(kept)), True)
+        numbers, content = chosen
+        out = [(int(number),) * 2 for number in numbers]
+        dropped = [list(pair) for pair in joined_ranges([*out, *one.contents._accepted])]
+        line = {"number": one.contents.last + 1, "kind": COMPACTED} | dict(content) | {"dropped": dropped}
+        write_reserved(folder, lambda: _insert(one, [_row(line)], numbers))
+        kept = (line for line in one.contents.lines if line["number"] not in numbers)
+        one.contents = Contents((*kept, line))
 
 
-def is_even(folder: Path) -> bool:
-    """Whether both files are as this process has read them, or have grown alike since."""
-    read(folder)
-    seen = _seen[folder]
-    sizes = [status.st_size for status in map(_own_status, (folder / NAME, folder / COPY)) if status is not None]
-    if not seen.is_even:
-        return False
-    return sizes == [seen.end] * 2 or (not seen.contents.lines and not any(map(os.path.lexists, _files(folder))))
+def _backup_of(folder: Path, contents: Contents) -> tuple[Any, ...]:
+    """Value of _Open.backed_up for a backup with these lines."""
+    return (_stamp(folder / BACKUP), contents.last, len(contents.lines))
 
 
-def _files(folder: Path) -> tuple[Path, Path]:
-    return folder / NAME, folder / COPY
+def _insert(one: _Open, rows: Collection[Row], removed: Collection[int] = ()) -> None:
+    """Add rows and remove others in one transaction.
 
-
-def _own_status(path: Path) -> os.stat_result | None:
-    """Status of a file that is no link and can be written."""
-    with suppress(OSError):
-        status = path.lstat()
-        return status if stat.S_ISREG(status.st_mode) and os.access(path, os.R_OK | os.W_OK) else None
-    return None
-
-
-def _mend(folder: Path) -> str:
-    _seen[folder] = _whole(folder, _seen.get(folder), _stamps(folder))
-    contents = _seen[folder].contents
-    text, words = b"".join(map(_line, contents.lines)), []
-    for path in _files(folder):
-        raw, is_file = _bytes(path), _own_status(path) is not None
-        if (raw == text and is_file) or not (text or os.path.lexists(path)):
-            continue
-        missing = len(contents.lines) - len(_lines(raw))
-        if is_file and raw.startswith(text) and b"\n" not in raw[len(text) :]:  # a process was killed while it wrote
-            os.truncate(path, len(text))
-            continue
-        is_old = is_file and missing <= 1 and _is_superset(raw, contents)
-        is_late = is_file and text.startswith(raw)
-        if is_old:  # a process was killed in compact()
-            write_synced(path, text.decode())
-            continue
-        if is_late:
-            _add(path, text[len(raw) :])
-        else:
-            if os.path.lexists(path):
-                set_aside(path)
-            write_synced(path, text.decode())
-        if not is_late or path.name == NAME or missing > 1:  # else a process was killed between the two files
-            other = COPY if path.name == NAME else NAME
-            words.append(
-                f"{path.name} was damaged: {missing} of {len(contents.lines)} lines are refilled from {other}"
-                if missing
-                else f"{path.name} is written again without what cannot be used"
-            )
-    _seen[folder] = _Seen(_stamps(folder), len(text), text[-TAIL:], contents, True)
-    return "; ".join(words)
-
-
-def _is_superset(raw: bytes, contents: Contents) -> bool:
-    """Whether a whole file has all lines but the newest, and others that were left out since."""
-    own = {int(one["number"]) for one in contents.lines[:-1]}
-    return raw.count(b"\n") == len(_lines(raw)) and own < _lines(raw).keys()
-
-
-def _add(path: Path, line: bytes) -> None:
-    file = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
+    Raises:
+        OSError: the disk is full, or does not take them.
+    """
+    database = one.database
+    assert database is not None
     try:
-        end = os.lseek(file, 0, os.SEEK_END)
+        database.execute("BEGIN IMMEDIATE")
+        database.executemany("DELETE FROM line WHERE number = ?", [(number,) for number in removed])
+        database.executemany("INSERT INTO line VALUES (?, ?, ?, ?)", rows)
+        database.execute("COMMIT")
+    except sqlite3.Error as error:
+        with suppress(sqlite3.Error):
+            database.execute("ROLLBACK")
+        raise _os_error(error) from error
+
+
+def _os_error(error: sqlite3.Error) -> OSError:
+    is_full = getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_FULL
+    number = errno.ENOSPC if is_full else errno.EIO
+    return OSError(number, os.strerror(number) if is_full else f"journal: {error}")
+
+
+def _mend(folder: Path, one: _Open) -> str:
+    """Write the database again with all known lines; what was done in words."""
+    path, lines, part = folder / NAME, one.contents.lines, folder / f"{NAME}.part"
+    write_reserved(folder, lambda: _create(part, lines))
+    close(folder)
+    missing = len(lines) - len(_checked(path)[1].keys() & {line["number"] for line in lines})
+    for name in (NAME, f"{NAME}-wal"):
+        if os.path.lexists(folder / name):
+            set_aside(folder / name)
+    (folder / f"{NAME}-shm").unlink(missing_ok=True)
+    part.replace(path)
+    sync_folder(folder)
+    return f"{NAME} was damaged ({one.damage}): {missing} of {len(lines)} lines are refilled" if lines else ""
+
+
+def _create(path: Path, lines: Iterable[Line]) -> None:
+    """Write a new database.
+
+    Raises:
+        OSError: the disk does not take it.
+    """
+    path.unlink(missing_ok=True)
+    try:
+        with closing(sqlite3.connect(path, isolation_level=None)) as database:
+            database.executescript(f"BEGIN; {SCHEMA}")
+            database.executemany("INSERT INTO line VALUES (?, ?, ?, ?)", map(_row, lines))
+            database.execute("COMMIT")
+    except sqlite3.Error as error:
+        path.unlink(missing_ok=True)
+        raise _os_error(error) from error
+
+
+def _back_up(folder: Path, one: _Open, is_damaged: bool) -> None:
+    """Copy the database to the backup, whole or not at all."""
+    path, database = folder / BACKUP, one.database
+    part = path.with_name(f"{BACKUP}.part")
+    assert database is not None
+
+    def copy() -> None:
+        part.unlink(missing_ok=True)
         try:
-            write_all(file, line)
-            os.fsync(file)
-        except OSError:
-            os.ftruncate(file, end)
-            raise
-    finally:
-        os.close(file)
+            with closing(sqlite3.connect(part)) as other:
+                database.backup(other)
+                other.execute("PRAGMA journal_mode = DELETE")
+        except sqlite3.Error as error:
+            part.unlink(missing_ok=True)
+            raise _os_error(error) from error
+
+    write_reserved(folder, copy)
+    if is_damaged:
+        set_aside(path)
+    part.replace(path)
+    sync_folder(folder)
+    one.backed_up, one.backup_damage = _backup_of(folder, one.contents), ""
 
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
+    """Hold the journal for writing. All writers wait: one of them may replace the database's file."""
     path = folder / LOCK
     while True:
-        if os.path.lexists(path) and _own_status(path) is None:
+        if os.path.lexists(path) and not (path.is_file() and not path.is_symlink() and os.access(path, os.W_OK)):
             set_aside(path)
-        with _reading, path.open("a") as file:
+        with _using, path.open("a") as file:
             lock(file.fileno())
-            status = _own_status(path)
-            if status is None or status.st_ino != os.fstat(file.fileno()).st_ino:
+            status = _stamp(path)
+            if status is None or status[0] != os.fstat(file.fileno()).st_ino:
                 continue  # removed meanwhile: another process may hold a newer one
             yield
             return

@@ -216,7 +216,7 @@ class Trainer:
         return accepted_settings(TrainConfig(recipe="prior", threads=THREADS, prior=prior), ())
 
     def _train(self, minutes: float) -> None:
-        """Train on all training motion, without touches that nobody reported."""
+        """Train on all training motion; suspected touches without a report are left out."""
         folder, segments = self.folder, segments_of_arm(self.folder)
         training = [one for one in segments if one.set == "train"]
         out = folder.next_bundle()

@@ -155,13 +155,6 @@ def test_an_arm_that_is_away_is_tried_again_and_one_that_does_not_fit_is_not(las
         assert not (tmp_path / "cell" / "arm.toml").exists()
 
 
-def test_a_folder_of_something_else_is_refused(tmp_path, capsys):
-    (tmp_path / "thesis.tex").touch()
-    assert main(["commission", "--source", "sim:rig", "--out", str(tmp_path), "--no-page"]) == 2
-    assert "is not empty and no folder of `tauext commission`" in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
-
-
 @pytest.mark.slow
 def test_a_source_that_ends_is_trained_on_until_the_command_is_stopped(tmp_path):
     save_recording(pushed(seconds=4), tmp_path / "log.parquet")

@@ -157,7 +157,7 @@ QUICK = ("motion", "a latched alarm", "lost samples")
 @pytest.mark.parametrize("model", [3, pytest.param(5, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("phase", [pytest.param(one, marks=[pytest.mark.slow] * (one not in QUICK)) for one in PHASES])
 def test_the_new_bundle_answers_as_one_that_replayed_the_same_seconds(phase, model, tmp_path, monkeypatch):
-    monkeypatch.setattr(exchange, "RING_S", 2.0)  # what was learned before comes by the mark alone
+    monkeypatch.setattr(exchange, "RECENT_S", 2.0)  # what was learned before comes by the mark alone
     pushes, changed, settings = PHASES[phase]
     samples = changed(samples_of(pushed(seconds=5, **({"pushes": ()} | pushes))))
     swap = Swap(saved(bundle_of("new", model, 2.5), tmp_path))

@@ -93,8 +93,6 @@ def test_the_first_bundle_monitors_after_two_minutes_without_the_touch(learned):
 def test_a_killed_training_process_goes_on(copy):
     """Whatever was written last: what nothing names is removed, an activation has its line, progress is none."""
     copy.bundles.joinpath("b0007.tauext").write_bytes(b"half")
-    with (copy.path / "journal.jsonl").open("a") as file:
-        file.write('{"crc32": "00000000", "number": 99, "kind": "activ')
     copy.progress_file.write_text('{"doing": "training b0007"}')
     one = Trainer(copy)
     assert not list(copy.bundles.glob("b0007*")) and copy.next_bundle().stem == "b0002"

@@ -117,8 +117,10 @@ class Folder:
 
 
 def trace_of(path: Path, event_ns: int) -> dict[str, Any] | None:
-    """Of every joint: time from the event [s], tau_ext, standard error and limits; of each bin the row with the largest
-    share of a limit."""
+    """Rows of an event for each joint: time from the event [s], tau_ext, standard error and limits.
+
+    Each bin has the row with the largest share of a limit.
+    """
     import numpy as np
 
     from tauext.bundle.estimates import load_estimates

@@ -45,9 +45,7 @@ def geom_capsules(model: mujoco.MjModel, geom: int) -> list[Ends]:
         mesh = model.mesh(number)
         vertices = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]]
         corners = vertices[model.mesh_face[mesh.faceadr[0] :][: mesh.facenum[0]]] @ axes.T + middle
-        axes = (
-            axes @ _rotation(model.mesh_quat[number]).T
-        )  # MuJoCo keeps meshes along their principal axes; these are the file's
+        axes = axes @ _rotation(model.mesh_quat[number]).T  # the file's; MuJoCo keeps meshes along their principal axes
     elif kind in (kinds.mjGEOM_CYLINDER, kinds.mjGEOM_BOX, kinds.mjGEOM_ELLIPSOID):
         corners = primitive_triangles(kind, size) @ axes.T + middle
     else:

@@ -13,10 +13,10 @@ from made_bundles import pushed
 
 from tauext import _core
 from tauext.monitor.episode import Episode
+from tauext.monitor.event_stream import Chunk, EventStream
 from tauext.monitor.loads import TimedLoad
 from tauext.monitor.loop import Loop, LoopSettings, chunk_of
 from tauext.monitor.phases import Phases
-from tauext.monitor.replay import Chunk, EventStream
 from tauext.monitor.sink import Verdict
 from tauext.monitor.source import Block, Sample, SourceCounts, SourceSettings
 from tauext.monitor.touch_place import PlaceFinder
@@ -198,7 +198,7 @@ def replay(
     settings = LoopSettings(missing_after_s=1e6, acknowledge_after_s=acknowledge_after_s, block_s=chunk_s)
     loop = Loop(None, Samples(samples), [], None, None, recorder, settings, arm, loads=loads)
     loop.sinks.append(Sink())
-    loop.monitor, loop._changes, loop._ring = monitor, EventStream(monitor, places, phases), None
+    loop.monitor, loop._changes = monitor, EventStream(monitor, places, phases)
     loop._turns = SimpleNamespace(made=lambda block: block, notes=list)
     loop._each_sink = lambda call: [call(sink) for sink in loop.sinks]  # an error of a test is raised
     loop.run()

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from made_recordings import JOINTS, joint_rows, motion, write_bag
 
-from tauext.data import description, raw_rows
+from tauext.data import description
 from tauext.data.assemble import assemble, derived_velocity, interpolated
+from tauext.data.clock import RowRules
 from tauext.data.description import parse_arm
 from tauext.data.description_template import Guess, guess, template
 from tauext.data.importers.open_raw import open_raw
@@ -203,14 +204,12 @@ def test_sorting_agrees_with_a_slow_twin():
     np.testing.assert_array_equal(sorted_values, [first[t] for t in sorted(first)])
 
 
-def test_a_long_source_becomes_pieces_that_join_without_a_seam(monkeypatch):
-    monkeypatch.setattr(raw_rows, "PIECE_S", 1.0)
-    monkeypatch.setattr(raw_rows, "LATE_S", 0.05)
+def test_a_long_source_becomes_pieces_that_join_without_a_seam():
     t_ns, q, dq, tau = motion(1000, joints=2)
     order = np.arange(1000)
     order[98:102] = order[98:102][::-1]  # packets out of order across the seam
     source = a_source(t_ns[order], block=7, q=q[order], dq=dq[order], tau=tau[order])
-    pieces = list(assemble(source, arm()))
+    pieces = list(assemble(source, arm(), rules=RowRules(piece_s=1.0, late_s=0.05)))
     assert 8 <= len(pieces) <= 10 and [p.name for p in pieces[:2]] == ["run-00", "run-01"]
     np.testing.assert_array_equal(np.concatenate([p.t_ns for p in pieces]), t_ns)
     np.testing.assert_array_equal(np.concatenate([p.tau for p in pieces]), tau)
@@ -332,10 +331,7 @@ MISTAKES = {
     "unknown table": (dict(rest="[contcat]"), "unknown key 'contcat'; the nearest known is 'contact'"),
     "unit": (dict(q='unit = "degrees"'), r"\[signals.q\] unit = 'degrees' must be one of rad, deg"),
     "sign": (dict(tau="sign = 2"), r"\[signals.tau\] sign = .* must be one of 1, -1"),
-    "count": (
-        dict(tau="sign = [1, 1, 1]"),
-        "must be one of 1, -1, one for all joints or a list of 2",
-    ),
+    "count": (dict(tau="sign = [1, 1, 1]"), "must be one of 1, -1, one for all joints or a list of 2"),
     "type": (dict(time='rate_hz = "fast"'), r"\[time\] rate_hz = 'fast' must be a number"),
     "choice": (dict(tau='timing = "later"'), "timing = 'later' must be one of held, instant, averaged"),
     "current": (dict(tau='unit = "A"'), 'torque_constant = .* must be Nm/A, one a joint, or "unknown"'),

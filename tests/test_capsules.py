@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import mujoco
@@ -119,6 +120,16 @@ def tube(radius: float, length: float, around: int = 24) -> np.ndarray:
     return np.array(found)
 
 
+def distances(points: np.ndarray, capsules) -> np.ndarray:
+    """Of points (n, 3) from the nearest capsule's surface, (n,)."""
+    found = []
+    for start, end, radius in capsules:
+        way = np.subtract(end, start)
+        share = np.clip((points - start) @ way / max(way @ way, 1e-12), 0, 1)
+        found.append(np.abs(np.linalg.norm(points - start - share[:, None] * way, axis=1) - radius))
+    return np.min(found, axis=0)
+
+
 def test_meshes_are_read_where_they_are_and_noted_where_not(tmp_path):
     (tmp_path / "meshes").mkdir()
     (tmp_path / "meshes" / "tube.stl").write_bytes(stl(tube(0.05, 0.4) * 1000))
@@ -172,15 +183,73 @@ def test_other_shapes_are_near_their_capsules(tmp_path, shape, most, off_m):
         points /= np.abs(points).max(axis=1)[:, None]
     else:
         points /= np.linalg.norm(points, axis=1)[:, None]
-    off = []
-    for point in points * half:
-        distance = []
-        for start, end, radius in capsules:
-            way = np.subtract(end, start)
-            share = np.clip((point - start) @ way / max(way @ way, 1e-12), 0, 1)
-            distance.append(abs(np.linalg.norm(point - start - share * way) - radius))
-        off.append(min(distance))
+    off = distances(points * half, capsules)
     assert np.sqrt(np.mean(np.square(off))) < off_m
+
+
+def turned(corners: np.ndarray) -> np.ndarray:
+    """The triangles along none of the axes."""
+    flat = np.empty(9)
+    mujoco.mju_quat2Mat(flat, np.array([0.5, 0.7, -0.2, 0.4]) / np.linalg.norm([0.5, 0.7, -0.2, 0.4]))
+    return corners @ flat.reshape(3, 3).T
+
+
+def obj(corners: np.ndarray, *stray: str) -> bytes:
+    """An OBJ of triangles (n, 3, 3), and further lines before its faces."""
+    points = [f"v {x} {y} {z}" for x, y, z in corners.reshape(-1, 3)]
+    faces = [f"f {k} {k + 1} {k + 2}" for k in range(1, len(points), 3)]
+    return "\n".join([*points, *stray, *faces]).encode()
+
+
+TUBE = tube(0.05, 0.4)
+PLATE = np.array([[[0, 0, 0], [0.3, 0, 0], [0, 0.2, 0]], [[0.3, 0, 0], [0.3, 0.2, 0], [0, 0.2, 0]]])
+MESHES = {
+    "closed": ("a.stl", stl(TUBE), "1 1 1", TUBE),
+    "open": ("a.stl", stl(TUBE[1::4]), "1 1 1", TUBE[1::4]),
+    "a part": ("a.stl", stl(TUBE[: len(TUBE) // 3]), "1 1 1", TUBE[: len(TUBE) // 3]),
+    "flat": ("a.stl", stl(np.tile(PLATE, (2, 1, 1))), "1 1 1", PLATE),
+    "flat and turned": ("a.obj", obj(turned(PLATE)), "1 1 1", turned(PLATE)),
+    "thin": ("a.stl", stl(turned(tube(5e-4, 0.4))), "1 1 1", turned(tube(5e-4, 0.4))),
+    "mirrored": ("a.stl", stl(TUBE), "1 -1 1", TUBE * [1, -1, 1]),
+    "in mm": ("a.stl", stl(TUBE * 1000), "0.001 0.001 0.001", TUBE),
+    "scaled unevenly": ("a.stl", stl(turned(TUBE)), "2 1 0.1", turned(TUBE) * [2, 1, 0.1]),
+    "with a stray vertex": ("a.obj", obj(TUBE, "v 40 0 0"), "1 1 1", TUBE),
+    "with triangles without area": ("a.stl", stl(np.concatenate([TUBE, np.full((4, 3, 3), 0.3)])), "1 1 1", TUBE),
+}
+
+
+@pytest.mark.parametrize("kind", MESHES)
+def test_capsules_stay_within_the_box_of_their_mesh(tmp_path, kind):
+    """Grown by a tenth of its diagonal on each side; what they are near is the mesh."""
+    name, content, scale, corners = MESHES[kind]
+    (tmp_path / name).write_bytes(content)
+    mesh = f'<collision><geometry><mesh filename="{name}" scale="{scale}"/></geometry></collision>'
+    text = re.sub("<(collision|visual)>.*</(collision|visual)>", "", URDF, flags=re.DOTALL).format(more=mesh)
+    shapes = body_capsules(written(tmp_path, text, "arm.urdf"))
+    assert shapes.notes == [] and 1 <= len(shapes.bodies["upper"]) <= 4
+    points = corners.reshape(-1, 3)
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.1 * np.linalg.norm(high - low)
+    for start, end, radius in shapes.bodies["upper"]:
+        assert (np.minimum(start, end) - radius >= low - margin).all()
+        assert (np.maximum(start, end) + radius <= high + margin).all()
+    off = distances(corners.mean(axis=1), shapes.bodies["upper"])
+    assert np.sqrt(np.mean(off**2)) < margin
+
+
+@pytest.mark.parametrize(
+    ("corners", "note"),
+    [
+        (np.zeros((4, 3, 3)), "a.stl is no mesh that can be read"),
+        (TUBE * 1000, "m: a mesh in mm needs scale = 0.001"),
+    ],
+)
+def test_a_mesh_that_is_no_link_is_noted_and_its_link_guessed(tmp_path, corners, note):
+    (tmp_path / "a.stl").write_bytes(stl(corners))
+    more = '<collision><geometry><mesh filename="a.stl"/></geometry></collision>'
+    path = written(tmp_path, URDF.format(more=more), "arm.urdf")
+    capsules, (line,) = link_capsules(path, load_tree(path))
+    assert capsules == [] and line.startswith("shapes of upper could not be read: a") and note in line
 
 
 def test_shapes_stay_with_a_robot_file_whose_meshes_do_not(tmp_path):

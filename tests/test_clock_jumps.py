@@ -16,11 +16,11 @@ from tauext import _core
 from tauext._core import LoadPhase
 from tauext.bundle.estimates import COLLISION, DECLARED, OK
 from tauext.data.recording import Recording
+from tauext.monitor.cell_file import Profile, Profiles
 from tauext.monitor.changes import ChangeFinder, DeclaredChange, HiddenCollision
 from tauext.monitor.control_lines import obey
 from tauext.monitor.loads import Expected
 from tauext.monitor.loop import Loop, LoopSettings
-from tauext.monitor.profiles import Profile, Profiles
 from tauext.monitor.source import CountedTime, Sample
 from tauext.monitor.touch_place import PlaceChange
 

@@ -18,6 +18,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 
@@ -36,6 +37,8 @@ from tauext_lab.report.style import RC
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import load_estimates
+from tauext.data.assemble import assemble
+from tauext.data.clock import RowRules
 from tauext.data.dataset import Split, save_split
 from tauext.data.importers.open_raw import open_raw
 from tauext.data.recording_file import load_recording, save_recording
@@ -353,7 +356,7 @@ def test_rows_that_a_bag_computes_are_refused(tmp_path, capsys):
 
 def test_a_clock_that_stands_still_ends_an_import(tmp_path, monkeypatch, capsys):
     """Rows wait for the stamps to go on; a billion of them would fill the memory."""
-    monkeypatch.setattr("tauext.data.raw_rows.MOST_WAITING", 9000)
+    monkeypatch.setattr("tauext.data.importing.assemble", partial(assemble, rules=RowRules(most_waiting=9000)))
     (tmp_path / "still.csv").write_text("time,q0,tau0\n" + "0,0.1,0.2\n" * 20_000)
     signals = '[signals]\nq = {columns = ["q0"], unit = "rad"}\ntau = {columns = ["tau0"], unit = "Nm"}\n'
     (tmp_path / "arm.toml").write_text('[robot]\njoints = ["a"]\nmodel = ""\n[time]\ncolumn = "time"\n' + signals)

@@ -367,10 +367,7 @@ def test_one_wrong_message_is_left_out_and_counted(tmp_path, wrong, kind):
             "one velocity too few",
             r"\[signals.dq\] 'velocity'.*velocity has 2 values for 3 joints in some messages.*derives",
         ),
-        (
-            "a name twice",
-            r"\[signals.q\].*its elements are tip",
-        ),
+        ("a name twice", r"\[signals.q\].*its elements are tip"),
     ],
 )
 def test_a_topic_of_wrong_messages_only_is_refused_with_the_cause(tmp_path, wrong, said):

@@ -125,10 +125,7 @@ def test_listed_stretches_are_taken_and_nothing_is_held_back(workplace, capsys):
 def test_recordings_with_contacts_go_whole_to_collisions(workplace, capsys):
     code, out, _ = run(capsys, workplace, '[contact.intervals]\n"two.bag" = [[5, 6]]')
     assert code == 0 and "collisions: two.parquet" in out
-    assert {source for part in ("train", "test") for source, *_ in spans(workplace)[part]} == {
-        "one",
-        "three",
-    }
+    assert {source for part in ("train", "test") for source, *_ in spans(workplace)[part]} == {"one", "three"}
 
 
 def test_contacts_are_cut_out_of_training_where_it_is_listed(workplace, capsys):

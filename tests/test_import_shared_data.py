@@ -149,12 +149,7 @@ def test_the_ur10_comes_at_8_ms_without_metadata(path):
     assert (
         recording.samples == 3441
         and recording.rate_hz == 125
-        and set(np.diff(recording.t_ns))
-        <= {
-            7_999_999,
-            8_000_000,
-            8_000_001,
-        }
+        and set(np.diff(recording.t_ns)) <= {7_999_999, 8_000_000, 8_000_001}
     )
     factor = least_gravity_factor(recording, load_tree(SHARED / "models/ur10_robot.urdf"))
     assert 0.8 < factor[1] < 1.1

@@ -27,8 +27,7 @@ ORDER = {
 ALSO = {
     "robot/capsules": {"scipy"},
     "data/importers/ros": {"rosbags", "ruamel"},
-    "data/importers/ros1_bag": {"rosbags"},
-    "data/ros_messages": {"rosbags"},
+    "data/importers/bag": {"rosbags"},
     "data/importers/hdf5": {"h5py", "scipy"},
     "sources/ur": {"rtde_receive"},
     "sources/franka": {"pylibfranka"},

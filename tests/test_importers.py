@@ -359,7 +359,7 @@ def test_a_broken_line_is_left_out_and_counted_with_its_place(tmp_path, kind):
     np.testing.assert_array_equal(streams[""][1]["tau1"], table()["tau1"])
     assert source.lost.sentences() == ["1 row left out: a wrong number of cells, first line 24"]
     (block,) = source.blocks()
-    assert source.place(block.rows[19]) == "line 23" and source.place(block.rows[20]) == "line 25"
+    assert source.position(block.rows[19]) == "line 23" and source.position(block.rows[20]) == "line 25"
 
 
 @pytest.mark.parametrize(
@@ -447,7 +447,7 @@ def test_blocks_of_a_csv_join_without_a_seam(tmp_path, monkeypatch, block_bytes)
         np.testing.assert_array_equal(streams[""][1]["q1"], table()["q1"])
         assert source.lost.sentences() == ["1 row left out: a wrong number of cells, first line 23"]
         last = list(source.blocks())[-1]
-        assert source.place(last.rows[-1]) == "line 53"
+        assert source.position(last.rows[-1]) == "line 53"
 
 
 def pairs(of: str) -> np.ndarray:
@@ -563,7 +563,7 @@ def test_rows_of_parquet_without_a_stamp_or_with_another_length_of_a_list(tmp_pa
     assert source.counts == {"lists of 'q' without 2 elements are missing values": 1}
     assert source.notes[-1] == "columns without numbers left out: points (lists of changing length)"
     (block,) = source.blocks()
-    assert source.place(block.rows[7]) == "row 9"
+    assert source.position(block.rows[7]) == "row 9"
 
 
 def test_arrays_of_a_joint_state_have_its_names(tmp_path):

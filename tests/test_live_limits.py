@@ -14,7 +14,7 @@ from tauext.cli import main
 from tauext.data.recording_file import save_recording
 from tauext.errors import RecordingError
 from tauext.files import preflight
-from tauext.monitor import control_lines, record_sink
+from tauext.monitor import record_sink
 from tauext.monitor.control_lines import MOST_CONNECTIONS, ControlSocket
 
 
@@ -79,7 +79,7 @@ def test_many_at_once_that_read_no_answer_keep_nobody_out(listening):
 
 @pytest.mark.slow
 def test_who_takes_no_answers_is_closed(listening, monkeypatch):
-    monkeypatch.setattr(control_lines, "UNREAD_S", 1)
+    monkeypatch.setattr(ControlSocket, "unread_s", 1)
     with ExitStack() as stack:
         one = call(listening, stack)
         with pytest.raises(BrokenPipeError):

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from made_bundles import JOINTS, pushed, taking_amperes, watching_bundle
-from made_live import AllAtOnce, Clock, Keeper, Replayed, ScriptedSource, replay, samples_of
+from made_live import AllAtOnce, Clock, Keeper, Replayed, ScriptedSource, samples_of
 from made_results import run_command
 
 from tauext import _core
 from tauext.bundle.estimates import COLLISION, FAULT, OK, STALE
-from tauext.bundle.history_file import NOTED
 from tauext.cli.text_lines import TextLines
 from tauext.data.recording_file import load_recording
 from tauext.data.servo import in_amperes
@@ -61,24 +59,6 @@ def joined(verdicts) -> dict[str, np.ndarray]:
 
 
 # What it says.
-
-
-@pytest.mark.parametrize("acknowledge_after_s", [pytest.param(None, marks=pytest.mark.slow), 0.1])
-def test_a_live_loop_says_what_a_replay_says(bundle, acknowledge_after_s):
-    recording = pushed()
-    loop, keeper = looped(bundle, ReplaySource(recording, None), acknowledge_after_s=acknowledge_after_s)
-    chunks = list(replay(_core.Monitor(bundle), recording, acknowledge_after_s=acknowledge_after_s))
-    expected = [change for chunk in chunks for change in chunk.changes]
-
-    def plain(changes):  # an acknowledgement has no sample of its own: here the last one's stamp, there the next one's
-        return [repr(c) if not getattr(c, "acknowledged", False) else (c.row, c.was) for c in changes]
-
-    assert plain(keeper.changes) == plain(expected)
-    said = joined(keeper.verdicts)
-    for key, values in said.items():
-        np.testing.assert_array_equal(values, np.concatenate([chunk.estimates[key] for chunk in chunks]), err_msg=key)
-    assert [v.row for v in keeper.verdicts] == list(range(recording.samples))
-    assert (loop.samples, loop.missing, loop.tick.count, keeper.closed) == (6000, 0, 6000, 1)
 
 
 class InBlocks(AllAtOnce):
@@ -518,10 +498,9 @@ def test_notes_are_printed_without_characters_that_act_on_a_terminal(capsys):
 def test_send_prints_the_answer_of_a_monitor_and_refusals_end_with_two(tmp_path, capsys):
     control, path = Recorded(), tmp_path / "control"
     listening = ControlSocket(path, control)
-    (tmp_path / "commission.json").write_text(json.dumps({"format": 1, NOTED: 0, "control": str(path)}))
     try:
         assert run_command(capsys, "send", path, "profile", "two", "words") == (0, "ok\n", "")
-        assert run_command(capsys, "send", tmp_path, "acknowledge") == (0, "ok\n", "")
+        assert run_command(capsys, "send", path, "acknowledge") == (0, "ok\n", "")
         assert control.requests == [("two words", "control socket"), ("acknowledge", "control socket")]
         code, printed, error = run_command(capsys, "send", path, "sing")
         assert code == 2 and printed == "" and error.startswith("tauext: error: 'sing' must be `profile NAME`")
@@ -551,7 +530,7 @@ def test_send_ends_with_two_where_nobody_listens_or_answers(tmp_path, capsys):
         (tmp_path / "file", "no monitor listens at this socket"),
         (tmp_path / "missing", "no monitor listens at this socket (No such file or directory)"),
         (tmp_path / ("x" * 200), "no monitor listens at this socket"),
-        (tmp_path / "empty", "commission.json: there is no such file"),
+        (tmp_path / "empty", "is no socket, and no folder of `tauext commission`"),
     ):
         code, printed, error = run_command(capsys, "send", to, "stop")
         assert (code, printed, error.count("\n")) == (2, "", 1) and why in error

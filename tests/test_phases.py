@@ -136,23 +136,6 @@ def test_a_larger_force_is_an_event_of_its_own_and_what_is_beyond_stays_in_the_a
     assert np.abs(pulls["declared_nm"][2600:4800]).max() < 0.3 and pulls["alarm"].max() == COLLISION
 
 
-def test_online_equals_bulk_with_declared_contacts(arm, tool):
-    bundle, free = arm
-    presses = pressed(free, tool, 25.0, 2000, 5000, hit_nm=9.0)
-    contacts = [(declared(), 1_500_000_000, 4.0), (DeclaredContact(joint="joint4", at_most_nm=0.5), 2_500_000_000, 1.0)]
-    bulk = _core.estimate(bundle, presses.t_ns, presses.q, presses.dq, presses.tau, 2, contacts=contacts)
-    monitor, parts = _core.Monitor(bundle), []
-    for begin, end in ((0, 1500), (1500, 2500), (2500, SAMPLES)):
-        for contact, from_ns, seconds in contacts:
-            if from_ns == begin * 1_000_000:
-                monitor.expect_contact(contact, seconds)
-        rows = slice(begin, end)
-        parts.append(monitor.run(presses.t_ns[rows], presses.q[rows], presses.dq[rows], presses.tau[rows]))
-    for name in set(bulk) & set(parts[0]):
-        np.testing.assert_array_equal(np.concatenate([part[name] for part in parts]), bulk[name], err_msg=name)
-    assert set(np.unique(bulk["declared_contact"])) == {-1, 0, 1} or set(np.unique(bulk["declared_contact"])) == {-1, 0}
-
-
 def test_the_tool_force_has_the_true_force_within_its_errors(arm, tool):
     bundle, free = arm
     presses = pressed(free, tool, 25.0, 2000, 5000)

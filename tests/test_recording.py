@@ -121,10 +121,7 @@ FAULTS = {
     "twin joints": (put(joints=("elbow", "elbow")), "joint 'elbow' is named 2 times; names must differ"),
     "no joints": (put(joints=()), "it has no joints"),
     "nameless joint": (put(joints=("elbow", "")), "joint name '' must be text, not empty"),
-    "commands to a terminal": (
-        put(joints=("elbow", "a\x1b[2J")),
-        r"joint name 'a\x1b[2J' has characters that cannot",
-    ),
+    "commands to a terminal": (put(joints=("elbow", "a\x1b[2J")), r"joint name 'a\x1b[2J' has characters that cannot"),
     "shared column": (put(joints=("a", "jts_a")), "joints 'a' and 'jts_a' would share the column tau_jts_a"),
     "timing": (put(torque_timing="late"), "torque_timing = 'late' must be one of held, instant, averaged"),
     "rate zero": (put(rate_hz=0.0), "rate_hz = 0 must be > 0"),
@@ -288,10 +285,7 @@ FILE_FAULTS = {
     "no times": (drop("t_ns"), "column 't_ns' is missing"),
     "half a sensor": (drop("tau_jts_shoulder"), "column 'tau_jts_shoulder' is missing; a signal has all joints"),
     "half a temperature": (drop("temperature_elbow"), "column 'temperature_elbow' is missing"),
-    "single floats": (
-        replace("q_elbow", lambda c: c.cast(pa.float32())),
-        "column 'q_elbow' is float, must be double",
-    ),
+    "single floats": (replace("q_elbow", lambda c: c.cast(pa.float32())), "column 'q_elbow' is float, must be double"),
     "text": (replace("dq_elbow", lambda c: c.cast(pa.string())), "column 'dq_elbow' is string, must be double"),
     "seconds": (replace("t_ns", lambda c: c.cast(pa.float64())), "column 't_ns' is double, must be int64"),
     "missing value": (replace("tau_elbow", at(9, None)), "tau_elbow at row 9 is missing; every sample must have a val"),

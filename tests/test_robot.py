@@ -199,104 +199,110 @@ def refused(message: str):
     return pytest.raises(RobotError, match=message)
 
 
-def test_a_missing_or_unreadable_file_is_named(tmp_path):
+RIG = urdf(planar_rig())
+FLOATING = RIG.replace('"shoulder" type="revolute"', '"shoulder" type="floating"')
+MASSLESS = urdf([replace(part, mass=0.0 if part.joint == "elbow" else 1.0) for part in planar_rig()])
+ONLY_COLLISION = (
+    '<link name="wrist"><collision><geometry><sphere radius="1"/></geometry></collision></link>'
+    '<joint name="roll" type="continuous"><parent link="elbow_link"/><child link="wrist"/></joint>'
+)
+TWO_ROTORS = (
+    '<transmission name="t"><joint name="x"/><joint name="y"/>'
+    '<actuator name="m"><rotor_inertia>1</rotor_inertia></actuator></transmission>'
+)
+SITES = two_links(rest='<equality><weld site1="s" site2="t"/></equality>')
+SITES = SITES.replace(INERTIAL, INERTIAL + '<site name="s"/>', 1).replace("<worldbody>", '<worldbody><site name="t"/>')
+TENDON = '<tendon><fixed name="belt" {}><joint joint="a" coef="1"/><joint joint="b" coef="-1"/></fixed></tendon>'
+BELT_MOTOR = '<actuator><motor tendon="belt" armature="0.1"/></actuator>'
+NONE_LEFT = "no moving joint is left; a robot needs at least one that is not fixed or locked"
+SENSE = "must be >= 0, and mass, centre of mass and inertia must be f"
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "message"),
+    [
+        ("no robot at all", {}, r"arm\.xml: not readable as XML: .*line 1"),
+        ("", {}, r"arm\.xml: not readable as XML: no element found"),
+        ('<robot name="arm"><link></robot>', {}, r"arm\.xml: not readable as XML: mismatched tag"),
+        ("<sdf/>", {}, r"arm\.xml: its root element is <sdf>; a URDF has <robot>, an MJCF <mujoco>"),
+        (
+            '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arm/></robot>',
+            {},
+            r"arm\.xml: is a xacro template; expand it first: xacro arm\.xml > robot\.urdf",
+        ),
+        (
+            RIG.replace('<joint name="elbow"', '<joint name="shoulder"'),
+            {},
+            "line 4: 2 joints are named 'shoulder', the first in line 3; every joint needs a name of its own",
+        ),
+        (urdf(planar_rig(), '<link name="base"/>'), {}, "2 links are named 'base', the first in line 2; every link"),
+        (
+            RIG.replace('rotor_inertia value="', 'rotor_inertia value="big" x="', 1),
+            {},
+            "joint 'shoulder': rotor_inertia = 'big' in its transmission must be a finite number >= 0",
+        ),
+        (
+            RIG.replace('gear_ratio value="100', 'gear_ratio value="inf', 1),
+            {},
+            "joint 'shoulder': gear_ratio = 'inf' in its transmission must be a finite number$",
+        ),
+        (urdf(planar_rig(), TWO_ROTORS), {}, "rotor inertia in a transmission of 2 joints; it must be one"),
+        (
+            FLOATING,
+            {},
+            r"joint 'shoulder' of body 'shoulder_link' has several axes \(floating, .*\); joints in use must be",
+        ),
+        (FLOATING, {"locked": {"shoulder": 0.0}}, "joint 'shoulder' has several axes, and no single position to be"),
+        (
+            two_links(second='type="ball"'),
+            {"joints": ["a", "b"]},
+            "joint 'b' of body 'lower' has several axes .*; joints in use must be hinges or slides",
+        ),
+        (MASSLESS, {}, "joint 'elbow' moves link 'elbow_link', which has no mass; every moving link needs one"),
+        (urdf(planar_rig(), ONLY_COLLISION), {}, "joint 'roll' moves link 'wrist', which has no mass"),
+        (two_links().replace('mass="1"', 'mass="-1"', 1), {}, rf"arm\.xml: link 'upper': mass = -1 kg {SENSE}"),
+        (RIG.replace('mass value="8', 'mass value="-8'), {}, r"link 'shoulder_link': mass = -8\.191 kg"),
+        (RIG.replace('ixx="', 'ixx="nan" x="', 1), {}, rf"link 'shoulder_link': mass = 8\.191 kg {SENSE}"),
+        (two_links('armature="-1"'), {}, r"arm\.xml: joint 'a': rotor inertia = -1\.0+ must be >= 0"),
+        (two_links(second='pos="nan 0 0"'), {}, r"arm\.xml: joint 'b': every number of a link must be finite"),
+        (
+            two_links().replace('mass="1"', 'mass="1e300"', 1),
+            {},
+            r"every number of a link must be within \+-1e\+09, not 1e\+300",
+        ),
+        (two_links(), {"joints": ["a", "elbow"]}, "no joint 'elbow'; its joints are a, b"),
+        (two_links(), {"locked": {"wrist": 0.1}}, "no joint 'wrist'; its joints are a, b"),
+        (two_links(), {"joints": ["a", "b", "a"]}, "joint 'a' is named twice; name every joint once"),
+        (
+            two_links(),
+            {"joints": ["a", "b"], "locked": {"b": 0.3}},
+            "joint 'b' is both in use and locked at 0.3; choose one",
+        ),
+        (two_links(), {"locked": {"b": np.nan}}, r"joint 'b': locked position nan must be finite, \[rad or m\]"),
+        (two_links(), {"locked": {"a": 0.0, "b": 0.0}}, NONE_LEFT),
+        (two_links(), {"joints": []}, NONE_LEFT),
+        ('<robot name="stone"><link name="base"/></robot>', {}, NONE_LEFT),
+        (SITES, {}, "bodies 'upper' and 'world' close a kinematic loop"),
+        (
+            two_links(rest=TENDON.format('armature="0.1"')),
+            {},
+            "tendon 'belt' has armature and moves joints in use; rotor inertia must be given at a joint",
+        ),
+        (two_links(rest=TENDON.format("") + BELT_MOTOR), {}, "tendon 'belt' has armature"),
+        (two_links(), {"gravity": [9.81]}, r"gravity = \[9\.81\] must be three finite numbers"),
+    ],
+)
+def test_what_is_no_arm_is_refused_with_the_rule(tmp_path, monkeypatch, text, options, message):
+    monkeypatch.chdir(tmp_path)  # MuJoCo logs a NaN where it stands
+    with refused(message):
+        load_tree(write(tmp_path, text), **options)
+
+
+def test_what_is_not_in_use_is_no_obstacle(tmp_path):
+    assert load_tree(write(tmp_path, two_links(rest=TENDON.format("")))).size == 2
+    assert load_tree(write(tmp_path, SITES), ["b"]).size == 1
     with refused(r"nowhere\.urdf: no such file; a robot is a URDF or MJCF file"):
         load_tree(tmp_path / "nowhere.urdf")
-    with refused(r"arm\.xml: not readable as XML: .*line 1"):
-        load_tree(write(tmp_path, "no robot at all"))
-    with refused(r"arm\.xml: not readable as XML: no element found"):
-        load_tree(write(tmp_path, ""))
-    with refused(r"arm\.xml: not readable as XML: mismatched tag"):
-        load_tree(write(tmp_path, '<robot name="arm"><link></robot>'))
-    with refused(r"arm\.xml: its root element is <sdf>; a URDF has <robot>, an MJCF <mujoco>"):
-        load_tree(write(tmp_path, "<sdf/>"))
-    with refused(r"arm\.xml: is a xacro template; expand it first: xacro arm\.xml > robot\.urdf"):
-        load_tree(write(tmp_path, '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arm/></robot>'))
-
-
-def test_names_that_stand_twice_in_the_file_are_refused(tmp_path):
-    with refused("line 4: 2 joints are named 'shoulder', the first in line 3; every joint needs a name of its own"):
-        load_tree(write(tmp_path, urdf(planar_rig()).replace('<joint name="elbow"', '<joint name="shoulder"')))
-    with refused("2 links are named 'base', the first in line 2; every link needs a name of its own"):
-        load_tree(write(tmp_path, urdf(planar_rig(), '<link name="base"/>')))
-
-
-def test_rotor_inertia_that_cannot_be_read_is_refused(tmp_path):
-    with refused("joint 'shoulder': rotor_inertia = 'big' in its transmission must be a finite number >= 0"):
-        load_tree(
-            write(tmp_path, urdf(planar_rig()).replace('rotor_inertia value="', 'rotor_inertia value="big" x="', 1))
-        )
-    with refused("joint 'shoulder': gear_ratio = 'inf' in its transmission must be a finite number$"):
-        load_tree(write(tmp_path, urdf(planar_rig()).replace('gear_ratio value="100', 'gear_ratio value="inf', 1)))
-    two = '</joint><transmission name="t"><joint name="x"/><joint name="y"/>'
-    two += '<actuator name="m"><rotor_inertia>1</rotor_inertia></actuator></transmission>'
-    with refused("rotor inertia in a transmission of 2 joints; it must be one"):
-        load_tree(write(tmp_path, urdf(planar_rig(), two.removeprefix("</joint>"))))
-
-
-def test_floating_bases_and_ball_joints_in_use_are_refused(tmp_path):
-    floating = write(tmp_path, urdf(planar_rig()).replace('"shoulder" type="revolute"', '"shoulder" type="floating"'))
-    with refused(r"joint 'shoulder' of body 'shoulder_link' has several axes \(floating, .*\); joints in use must be"):
-        load_tree(floating)
-    with refused("joint 'shoulder' has several axes, and no single position to be locked at"):
-        load_tree(floating, locked={"shoulder": 0.0})
-    ball = write(tmp_path, two_links(second='type="ball"'))
-    with refused("joint 'b' of body 'lower' has several axes .*; joints in use must be hinges or slides"):
-        load_tree(ball, ["a", "b"])
-
-
-def test_a_moving_link_without_mass_is_named(tmp_path):
-    text = urdf([replace(part, mass=0.0 if part.joint == "elbow" else 1.0) for part in planar_rig()])
-    with refused("joint 'elbow' moves link 'elbow_link', which has no mass; every moving link needs one"):
-        load_tree(write(tmp_path, text))
-    only_collision = '<link name="wrist"><collision><geometry><sphere radius="1"/></geometry></collision></link>'
-    joint = '<joint name="roll" type="continuous"><parent link="elbow_link"/><child link="wrist"/></joint>'
-    with refused("joint 'roll' moves link 'wrist', which has no mass"):
-        load_tree(write(tmp_path, urdf(planar_rig(), only_collision + joint)))
-
-
-def test_numbers_that_make_no_sense_are_refused(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # MuJoCo logs a NaN where it stands
-    with refused(r"arm\.xml: link 'upper': mass = -1 kg must be >= 0, and mass, centre of mass and inertia must be"):
-        load_tree(write(tmp_path, two_links().replace('mass="1"', 'mass="-1"', 1)))
-    with refused(r"link 'shoulder_link': mass = -8\.191 kg"):
-        load_tree(write(tmp_path, urdf(planar_rig()).replace('mass value="8', 'mass value="-8')))
-    with refused(
-        r"link 'shoulder_link': mass = 8\.191 kg must be >= 0, and mass, centre of mass and inertia must be f"
-    ):
-        load_tree(write(tmp_path, urdf(planar_rig()).replace('ixx="', 'ixx="nan" x="', 1)))
-    with refused(r"arm\.xml: joint 'a': rotor inertia = -1\.0+ must be >= 0"):
-        load_tree(write(tmp_path, two_links('armature="-1"')))
-    with refused(r"arm\.xml: joint 'b': every number of a link must be finite"):
-        load_tree(write(tmp_path, two_links(second='pos="nan 0 0"')))
-    with refused(r"every number of a link must be within \+-1e\+09, not 1e\+300"):
-        load_tree(write(tmp_path, two_links().replace('mass="1"', 'mass="1e300"', 1)))
-
-
-def test_joints_that_do_not_exist_are_refused_with_those_that_do(tmp_path):
-    path = write(tmp_path, two_links())
-    with refused("no joint 'elbow'; its joints are a, b"):
-        load_tree(path, ["a", "elbow"])
-    with refused("no joint 'wrist'; its joints are a, b"):
-        load_tree(path, locked={"wrist": 0.1})
-
-
-def test_contradictory_choices_are_refused(tmp_path):
-    path = write(tmp_path, two_links())
-    with refused("joint 'a' is named twice; name every joint once"):
-        load_tree(path, ["a", "b", "a"])
-    with refused("joint 'b' is both in use and locked at 0.3; choose one"):
-        load_tree(path, ["a", "b"], locked={"b": 0.3})
-    with refused(r"joint 'b': locked position nan must be finite, \[rad or m\]"):
-        load_tree(path, locked={"b": float("nan")})
-
-
-def test_a_robot_without_a_moving_joint_is_refused(tmp_path):
-    for options in ({"locked": {"a": 0.0, "b": 0.0}}, {"joints": []}):
-        with refused("no moving joint is left; a robot needs at least one that is not fixed or locked"):
-            load_tree(write(tmp_path, two_links()), **options)
-    with refused("no moving joint is left"):
-        load_tree(write(tmp_path, '<robot name="stone"><link name="base"/></robot>'))
 
 
 def test_more_joints_than_the_core_holds_are_refused(tmp_path):
@@ -332,29 +338,10 @@ def test_closed_loops_between_moving_links_are_refused(tmp_path):
     path = write(tmp_path, weld)
     with refused("bodies 'lower' and 'world' close a kinematic loop; a tree has none: lock the joints in it"):
         load_tree(path)
-    sites = two_links(rest='<equality><weld site1="s" site2="t"/></equality>')
-    sites = sites.replace(INERTIAL, INERTIAL + '<site name="s"/>', 1).replace(
-        "<worldbody>", '<worldbody><site name="t"/>'
-    )
-    with refused("bodies 'upper' and 'world' close a kinematic loop"):
-        load_tree(write(tmp_path, sites))
-    assert load_tree(path.with_name("arm.xml"), ["b"]).size == 1
 
 
-def test_rotor_inertia_that_acts_through_a_tendon_is_refused(tmp_path):
-    tendon = '<tendon><fixed name="belt" {}><joint joint="a" coef="1"/><joint joint="b" coef="-1"/></fixed></tendon>'
-    with refused("tendon 'belt' has armature and moves joints in use; rotor inertia must be given at a joint"):
-        load_tree(write(tmp_path, two_links(rest=tendon.format('armature="0.1"'))))
-    motor = '<actuator><motor tendon="belt" armature="0.1"/></actuator>'
-    with refused("tendon 'belt' has armature"):
-        load_tree(write(tmp_path, two_links(rest=tendon.format("") + motor)))
-    assert load_tree(write(tmp_path, two_links(rest=tendon.format("")))).size == 2
-
-
-def test_gravity_and_perturbations_must_be_numbers_that_make_sense(tmp_path):
+def test_perturbations_must_be_numbers_that_make_sense(tmp_path):
     path = write(tmp_path, two_links())
-    with refused(r"gravity = \[9\.81\] must be three finite numbers"):
-        load_tree(path, gravity=[9.81])
     with refused("mass_factor = -0.5 must be finite and >= 0; 1 leaves the model as it is"):
         perturbed(load_tree(path), mass_factor=-0.5)
     with refused("com_factor = nan must be finite and >= 0"):

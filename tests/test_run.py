@@ -9,7 +9,7 @@ import re
 import subprocess
 import sys
 import time
-from functools import cache, partial
+from functools import cache
 from io import StringIO
 from pathlib import Path
 
@@ -26,11 +26,13 @@ from tauext.cli.live_view import LiveView, bar
 from tauext.cli.text_lines import TextLines
 from tauext.data.recording_file import load_recording, save_recording
 from tauext.errors import RecordingError
+from tauext.monitor import record_sink
 from tauext.monitor.changes import AlarmChange, ChangeFinder, HiddenCollision, TouchChange
+from tauext.monitor.event_stream import Tally
 from tauext.monitor.explanation import MEANING, explain
 from tauext.monitor.flight_content import event_kind, flight_rate_hz, rows_kept
-from tauext.monitor.flight_files import FlightCount, FlightSource, FlightWriter, write_flight
-from tauext.monitor.replay import Tally
+from tauext.monitor.flight_files import FlightCount, FlightSource
+from tauext.monitor.record_sink import FlightSink
 from tauext.sources.replay import Pace, ReplaySource
 
 CAUSES = 12
@@ -151,17 +153,6 @@ def test_an_acknowledged_alarm_whose_cause_lasts_is_raised_again_at_the_same_sam
     assert np.diff(raised[:4]).tolist() == [250, 250, 250]
 
 
-def test_what_is_reported_of_every_sample_does_not_depend_on_the_chunks(bundle):
-    def joined(chunk_s):
-        chunks = list(replay(_core.Monitor(bundle), faulty(), acknowledge_after_s=0.2, chunk_s=chunk_s))
-        assert [c.first_row for c in chunks] == np.cumsum([0] + [len(c.t_ns) for c in chunks[:-1]]).tolist()
-        return {key: np.concatenate([c.estimates[key] for c in chunks]) for key in chunks[0].estimates}
-
-    one, other = joined(0.013), joined(3.0)
-    for key, values in one.items():
-        np.testing.assert_array_equal(values, other[key], err_msg=key)
-
-
 def test_samples_come_when_their_time_has_come_by_the_clock():
     now, slept = [50.0], []
 
@@ -220,17 +211,21 @@ def test_the_tally_counts_what_arrays_of_all_samples_hold(bundle):
 # Flights
 
 
+def flight_sink(bundle, samples, folder: Path, before_s=1.0, after_s=0.5, contacts=False, **options) -> FlightSink:
+    folder.mkdir(exist_ok=True)
+    recorder = _core.FlightRecorder(2, bundle.observer.sample_period_ns, before_s, after_s, contacts)
+    sink = FlightSink(folder, bundle, recorder, FlightSource.of(bundle, samples), **options)
+    sink.open(JOINTS, None)
+    return sink
+
+
 def flown(bundle, samples, folder: Path, before_s=1.0, after_s=0.5, contacts=False, **options) -> list:
     """News of the flights of one replay."""
-    folder.mkdir(exist_ok=True)
-    monitor = _core.Monitor(bundle)
-    recorder = _core.FlightRecorder(2, monitor.sample_period_ns, before_s, after_s, contacts)
-    source = FlightSource.of(bundle, samples)
-    with FlightWriter(recorder, partial(write_flight, folder=folder, source=source)) as writer:
-        chunk_s = after_s or 0.02
-        replay(monitor, samples, recorder=recorder, chunk_s=chunk_s, each=lambda chunk: writer.catch_up(), **options)
-    assert recorder.missed == 0
-    return writer.news()
+    sink = flight_sink(bundle, samples, folder, before_s, after_s, contacts)
+    replay(_core.Monitor(bundle), samples, sink.recorder, chunk_s=after_s or 0.02, each=sink.verdict, **options)
+    sink.close()
+    assert sink.recorder.missed == 0
+    return sink.news()
 
 
 def test_a_flight_holds_the_rows_of_the_recording_around_the_event_and_what_was_reported_of_them(bundle, tmp_path):
@@ -359,19 +354,6 @@ def test_a_limit_that_moves_is_reported_with_the_standard_error(bundle, tmp_path
     assert status[0] == [None, None] and status[-1] == said["sigma_nm"][5000].tolist()
 
 
-def test_a_contact_is_explained_with_its_own_limit_where_limits_move(tmp_path):
-    moving = with_error_scale(watching_bundle(network=False))
-    soft = pushed(pushes=((2.0, 1, 1.5 * LIMIT_NM),), length_s=1.0)
-    said = _core.Monitor(moving).run(soft.t_ns, soft.q, soft.dq, soft.tau)
-    (one, *_) = flown(moving, soft, tmp_path, contacts=True)
-    k = int(np.flatnonzero(said["alarm"] == 1)[0])
-    joint = int(said["alarm_joint"][k])
-    limit = said["limit_nm"][k, joint] / 2  # watching_bundle's contacts have half the limits of collisions
-    assert said["limit_scale"][k, joint] > 1.2
-    text = one.path.with_suffix(".txt").read_text()
-    assert f"{abs(said['tau_ext'][k, joint]) - limit:.3f} Nm over its contact limit of {limit:.3f} Nm" in text
-
-
 def test_a_near_stiction_limit_is_called_so(tmp_path):
     pushes = ((2.0, 0, 40.0),)
     dq = pushed(pushes=pushes).dq.copy()
@@ -487,53 +469,43 @@ def test_no_flight_is_missed_however_fast_the_replay(bundle, tmp_path):
     assert [one.t_ns for one in news] == [c[1] for c in raised] and len(news) == len(starts)
 
 
-def test_a_disk_that_is_full_for_a_while_loses_its_flights_and_no_others(bundle, tmp_path):
-    recording, calls = pushed(), []
+def test_a_disk_that_is_full_for_a_while_loses_its_flights_and_no_others(bundle, tmp_path, monkeypatch):
+    calls, real = [], record_sink.write_flight
 
-    def write(flight):
+    def write(*arguments):
         calls.append(1)
         if len(calls) == 1:
             raise RecordingError("the disk is full")
-        return write_flight(flight, tmp_path, FlightSource.of(bundle, recording))
+        return real(*arguments)
 
-    recorder = _core.FlightRecorder(2, 1_000_000, 1.0, 0.5, False)
-    with FlightWriter(recorder, write) as writer:
-        replay(_core.Monitor(bundle), recording, recorder, 0.8, 0.5, each=lambda chunk: writer.catch_up())
-    first, second = writer.news()
+    monkeypatch.setattr(record_sink, "write_flight", write)
+    first, second = flown(bundle, pushed(), tmp_path, acknowledge_after_s=0.8)
     assert (first.path, first.error) == (None, "the disk is full")
     assert second.path.exists() and second.error is None
 
 
 def test_a_replay_waits_for_a_slow_disk_before_memory_fills(bundle, tmp_path, monkeypatch):
-    monkeypatch.setattr("tauext.monitor.flight_files.MOST_WAITING", 1)
     starts = np.arange(1.0, 6.0, 0.8)
     many = pushed(seconds=7.0, pushes=tuple((float(s), 0, 9.0) for s in starts), length_s=0.1)
-    recorder = _core.FlightRecorder(2, 1_000_000, 0.2, 0.1, False)
-    written = []
+    monkeypatch.setattr(record_sink, "write_flight", lambda *_: time.sleep(0.02) or tmp_path)
+    sink, waiting = flight_sink(bundle, many, tmp_path, 0.2, 0.1, most_waiting=1), []
 
-    def write(flight):
-        time.sleep(0.02)
-        written.append(int(flight["event"].t_ns))
-        return tmp_path
+    def each(chunk):
+        sink.verdict(chunk)
+        waiting.append(sink.worker._waiting.qsize())
 
-    with FlightWriter(recorder, write) as writer:
-        waiting = []
-
-        def each(chunk):
-            writer.catch_up()
-            waiting.append(writer.waiting)
-
-        replay(_core.Monitor(bundle), many, recorder, 0.3, 0.1, each=each)
-        assert max(waiting) <= 1
-    assert len(written) == len(starts) == len(writer.news())
+    replay(_core.Monitor(bundle), many, sink.recorder, 0.3, 0.1, each=each)
+    sink.close()
+    assert max(waiting) <= 1 and len(sink.news()) == len(starts)
 
 
-def test_a_mistake_in_the_writing_is_not_swallowed(bundle):
-    recorder = _core.FlightRecorder(2, 1_000_000, 1.0, 0.5, False)
+def test_a_mistake_in_the_writing_is_not_swallowed(bundle, tmp_path, monkeypatch):
+    monkeypatch.setattr(record_sink, "write_flight", lambda *_: 1 / 0)
+    sink = flight_sink(bundle, pushed(), tmp_path)
+    replay(_core.Monitor(bundle), pushed(), sink.recorder, 0.8, 0.5, each=sink.verdict)
     with pytest.raises(ZeroDivisionError):
-        with FlightWriter(recorder, lambda flight: 1 / 0) as writer:
-            replay(_core.Monitor(bundle), pushed(), recorder, 0.8, 0.5, each=lambda chunk: writer.catch_up())
-    errors = [one.error for one in writer.news()]
+        sink.close()
+    errors = [one.error for one in sink.news()]
     assert len(errors) > 1 and set(errors) == {"ZeroDivisionError: division by zero"}  # reported at once, each flight
 
 
@@ -566,12 +538,6 @@ def test_the_command_tells_events_and_a_summary_in_lines(place, capsys):
         assert line == f"{row * 1e-3:11.3f} s  {words}"
     assert "samples       6,000" in out and "collision shoulder 1, elbow 1" in out and "worst margin  shoulder -" in out
     assert "flights" not in out and "stood from" not in out
-
-
-def test_a_latched_collision_is_reported_to_hide_what_follows(place, capsys):
-    _, out, _ = run(capsys, place / "watching.tauext", place / "pushed.parquet")
-    assert re.search(r"the collision alarm lasted from 2\.0\d\d s to the end .*--acknowledge-after-s", out)
-    assert out.count("COLLISION") == 1
 
 
 def test_json_lines_are_what_the_slow_loop_found(place, capsys, bundle):
@@ -628,16 +594,6 @@ def test_the_networks_own_rate_is_the_cores(place, capsys, bundle):
     out = run(capsys, place / "watching.tauext", place / "pushed.parquet", *options)[1]
     status = [e for e in map(json.loads, out.splitlines()) if e["event"] == "status"]
     assert [e["tau_ext_nm"] for e in status[125:]] == expected.tolist()
-
-
-def test_a_paced_run_says_the_same(place, capsys):
-    files = (place / "watching.tauext", place / "pushed.parquet")
-    fast, paced = (run(capsys, *files, "--json", *options)[1] for options in ((), ("--speed", 20)))
-
-    def events(out):
-        return [e for e in map(json.loads, out.splitlines()) if e["event"] in ("health", "alarm", "start")]
-
-    assert events(fast) == events(paced)
 
 
 def test_a_disk_error_is_reported_once_the_replay_goes_on_and_the_exit_code_is_2(place, capsys, monkeypatch):

@@ -1,6 +1,6 @@
 """What is installed beside tauext: plug-ins, found by their entry points, and libraries that one part needs.
 
-A package adds a robot, a command or a recipe in its pyproject.toml:
+A package adds a robot, a command, a recipe, a format or an output in its pyproject.toml:
 
     [project.entry-points."tauext.sources"]
     myarm = "my_package:KIND"        # a tauext.sources.open.SourceKind
@@ -10,6 +10,8 @@ A package adds a robot, a command or a recipe in its pyproject.toml:
     myrecipe = "my_package:RECIPE"   # a tauext.recipes.Recipe of this name
     [project.entry-points."tauext.importers"]
     myformat = "my_package:IMPORTER"  # a tauext.data.importers.raw.Importer
+    [project.entry-points."tauext.sinks"]
+    myoutput = "my_package:OUTPUT"   # a tauext.monitor.sink_kind.SinkKind: the option --myoutput
     [project.entry-points."tauext.checks"]
     mycheck = "my_package:CHECK"      # a tauext.check.finding.Check
 
@@ -30,10 +32,11 @@ from typing import Any, TypeVar
 from tauext.errors import ConfigError
 
 Added = TypeVar("Added")
-SOURCES, COMMANDS, IMPORTERS, CHECKS, RECIPES, PARTS = GROUPS = (
+SOURCES, COMMANDS, IMPORTERS, SINKS, CHECKS, RECIPES, PARTS = GROUPS = (
     "tauext.sources",
     "tauext.commands",
     "tauext.importers",
+    "tauext.sinks",
     "tauext.checks",
     "tauext.recipes",
     "tauext.parts",
@@ -42,10 +45,10 @@ SOURCES, COMMANDS, IMPORTERS, CHECKS, RECIPES, PARTS = GROUPS = (
 FOLDERS = {
     name: folders
     for folders, names in {
-        "lab commission": "commission",
+        "lab commission": "commission touch-labels",
         "ros2": "ros2",
         "lab fleet": "fleet like prior-content",
-        "lab": "sim simulate evaluate report reproduce joint-picture check-pictures force network torch",
+        "lab": "sim mcap simulate evaluate report reproduce joint-picture check-pictures force network torch",
         "lerobot": (
             "lerobot lerobot-calibration label guard feetech dynamixel damiao servo-torque servo-signals backlash"
         ),
@@ -56,6 +59,8 @@ FOLDERS = {
 there may be those of strangers."""
 MARKS = {"commission.json": "commission"}
 """Commands of packages by the files that mark the folders they make."""
+LABELLED = ("journal.db", "journal.backup.db")
+"""Files that mark folders whose recordings have labels; the part `touch-labels` reads them."""
 IMPORTED = {"meta/info.json": "lerobot"}
 """Importers of packages by the files that mark the folders they read."""
 

@@ -21,7 +21,8 @@ PLACES += ("full/x", "read-only/x", "robot.xml", "robot.xml/x", "data", "empty",
 PLACES += ("missing/x/y",)
 
 
-AT_TOP = ("SourceOptions", "TrainOptions", "AlarmOptions", "EventsConfig", "FleetConfig")
+AT_TOP = ("SourceOptions", "FlightOptions", "SinkOptions", "PrintOptions")
+AT_TOP += ("TrainOptions", "AlarmOptions", "EventsConfig", "FleetConfig")
 NAMES = {"as-json": "json"}
 
 

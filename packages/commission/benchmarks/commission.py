@@ -40,7 +40,8 @@ from made_live import replay as replayed
 from tauext_commission.connect import as_data, provenance_of, write_arm
 from tauext_commission.folder import CommissionFolder, wall
 from tauext_commission.history import promise_of
-from tauext_commission.motion_recorder import KeepSink
+from tauext_commission.history_file import read_events, read_history, read_question
+from tauext_commission.motion_recorder import MotionRecorder
 from tauext_commission.trainer import Trainer
 from tauext_lab.evaluate.comparison import evaluate
 from unseen.working import NAMES, STRETCH_S, Part, Working, working
@@ -48,7 +49,6 @@ from unseen.working import NAMES, STRETCH_S, Part, Working, working
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import NONE
-from tauext.bundle.history_file import read_events, read_history, read_question
 from tauext.data.dataset import load_split
 from tauext.data.free_motion import cut
 from tauext.data.labels import Label
@@ -109,7 +109,7 @@ class Simulation:
         self.settings = arm.facts.settings
         self.trainer = Trainer(self.folder)
         self.outcomes: list[Outcome] = []
-        self.sink = KeepSink(self.folder, self.settings, "simulated", disk_bytes)
+        self.sink = MotionRecorder(self.folder, self.settings, "simulated", disk_bytes)
         self.sink.open(self.settings.joints, None)  # type: ignore[arg-type]
         self.sink.worker.patient = True
         self.first_s: float | None = None

@@ -34,9 +34,7 @@ sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 
 from common import arguments, head, table_row, write_tables
 from made_browser import Browser, Page
-
-from tauext.bundle.history_file import active_bundle, lost_lines, read_events
-from tauext.data.labels import read_labels
+from tauext_commission.history_file import active_bundle, lost_lines, read_events, read_labels
 
 PORT = 8797
 LOOKS = {"phone": ((390, 1500), "light"), "desktop": ((1280, 1000), "dark")}

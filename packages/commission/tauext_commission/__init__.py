@@ -10,6 +10,11 @@ COMMAND = Command(
     "learn a live arm while it works, and monitor it",
     "tauext_commission.command:commission",
     title="Monitor",
-    folders=Folders("commission.json", "tauext_commission.shown:show_folder", "tauext_commission.shown:report_folders"),
+    folders=Folders(
+        "commission.json",
+        show="tauext_commission.shown:show_folder",
+        report="tauext_commission.shown:report_folders",
+        socket="tauext_commission.history_file:control_socket",
+    ),
 )
 """`tauext commission`, found by its entry point."""

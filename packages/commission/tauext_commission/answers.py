@@ -1,6 +1,6 @@
 """Alarms in the journal, and what a person answered about them.
 
-An alarm's line is written in a thread beside the loop, again whenever more is known of it. An answer is written in the
+An alarm's line is written in a thread beside the loop, and again whenever its facts change. An answer is written in the
 thread that gives it, which gets `ok` once the disk holds it. An alarm without an answer is a label `unanswered`.
 """
 
@@ -16,14 +16,14 @@ from dataclasses import replace
 from typing import Any
 
 from tauext import _core
-from tauext.bundle.history_file import read_events
-from tauext.data.labels import Label, label_of_alarm
+from tauext.data.labels import Label
 from tauext.errors import ConfigError
 from tauext.monitor.episode import Episode
 from tauext.monitor.flight_files import FlightNews
 from tauext.monitor.loop import Loop
 from tauext.monitor.sink import AnswerKind, Control, LoopReport, Verdict
 from tauext_commission.folder import CommissionFolder, wall
+from tauext_commission.history_file import label_of_alarm, read_events
 
 ASKING_S = 600.0
 """Time after which an alarm without an answer is not asked about any more, and is acknowledged."""
@@ -82,7 +82,7 @@ class AlarmJournal:
         return max(self._events, default=0)
 
     def event(self, alarm: int) -> dict[str, Any] | None:
-        """What is known of an alarm, with its answer."""
+        """Facts of an alarm, with its answer; None: there is no such alarm."""
         return self._events.get(alarm)
 
     @property
@@ -147,7 +147,7 @@ class AlarmJournal:
         return Label(own, epoch, t_ns - round(NOTICED_S * 1e9), t_ns, answer, by, wall())
 
     def _put(self, number: int, **facts: Any) -> dict[str, Any]:
-        """Add to what is known of an alarm."""
+        """Add facts to an alarm."""
         with self._changing:
             self._events[number] = self._events.get(number, {}) | facts
             if len(self._events) > MOST_EVENTS:
@@ -174,7 +174,7 @@ class AlarmJournal:
         """The loop has ended; what still comes is written."""
 
     def learned(self, one: Episode) -> None:
-        """Something is new of an alarm."""
+        """Keep new facts of an alarm."""
         facts, known = one.facts(self._joints, self._units), self._events.get(one.number)
         if known is None and one.t_ns is None:
             return  # the line of an earlier process is lost
@@ -217,7 +217,7 @@ class AlarmJournal:
 
 
 def question(event: dict[str, Any]) -> str:
-    """What the terminal prints of an alarm, and how it is answered."""
+    """The terminal's line about an alarm, with the ways to answer it."""
     number, details = event["id"], f" ({event['details']})" if event.get("details") else ""
     return f"alarm {number}: {event.get('sentence')}{details}; answer: `touched {number}` or `nothing {number}`"
 
@@ -227,14 +227,14 @@ class CurrentLoop:
 
     def __init__(self, keeper: AlarmJournal, stop: Callable[[str], None]):
         """stop: ends the command, not the loop alone."""
-        self._keeper, self.stop = keeper, stop
+        self._alarm_journal, self.stop = keeper, stop
         self._answering = threading.Lock()
         self.loop: Loop | None = None
 
     def answer(self, what: AnswerKind, by: str, alarm: int | None = None) -> None:
         loop = self._present
         with self._answering:
-            number = self._keeper.answer(what, by, alarm)
+            number = self._alarm_journal.answer(what, by, alarm)
         if number:
             loop.settle(number, f"{what}, by {by}")
 

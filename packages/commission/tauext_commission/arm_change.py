@@ -12,19 +12,19 @@ import numpy as np
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
-from tauext.bundle.history_file import read_question
 from tauext.data.free_motion import free_samples
 from tauext.data.recording import Recording
 from tauext.errors import TauextError, TooLittleMotionError
 from tauext.files.provenance import provenance
-from tauext.files.synced_file import write_synced
 from tauext.monitor.weighing import ROW_S, expect_weighable, identify, load_frame, see
 from tauext.progress import WallTimes
 from tauext.train.refit import refit_recordings
 from tauext_commission.connect import load_known
 from tauext_commission.folder import CommissionFolder, Segment, up_to
+from tauext_commission.history_file import read_question
 from tauext_commission.motion_recorder import LEARN_FROM, segments_of_arm
 from tauext_commission.promises import THREADS, base_of, meets
+from tauext_commission.synced_file import write_synced
 
 MOST_LEFT = 0.5
 """Largest share of the squared errors that a named load leaves. On two simulated arms, loads of 0.3 kg and more left
@@ -153,7 +153,7 @@ class DayComparison:
         return up_to(newest, STROKES_S)[::-1] if len(self._alarmed(newest)) >= CHANGED_SHARE * len(newest) else []
 
     def _alarmed(self, segments: Sequence[Segment]) -> list[Segment]:
-        """Those with alarms that nobody called a touch."""
+        """Recordings with alarms that no answer calls a touch."""
         labels = [one for one in self.folder.labels() if one.id > 0 and one.answer in ("unanswered", "nothing")]
         return [one for one in segments if any(meets(one, label) for label in labels)]
 

@@ -90,7 +90,7 @@ def commission(
         priority=priority,
     )
     with keys() as listening:
-        run(out, source, chosen if no_page else with_page(chosen, port), say, listening)
+        run(out, source, chosen if no_page else with_page(chosen, port), print_line, listening)
 
 
 def repair_folder(out: Path, source: str | None) -> None:
@@ -98,9 +98,9 @@ def repair_folder(out: Path, source: str | None) -> None:
     from tauext_commission.run import repaired_folder
 
     for line in repaired_folder(out):
-        say(line)
+        print_line(line)
     if source is not None:
-        say(f"{out}: the repair is complete; monitoring begins with {source}")
+        print_line(f"{out}: the repair is complete; monitoring begins with {source}")
 
 
 def with_page(options: Options, port: int) -> Options:
@@ -120,7 +120,7 @@ def with_page(options: Options, port: int) -> Options:
     return replace(options, page=serve, address=address, listening=listening, token=token)
 
 
-def say(text: str) -> None:
+def print_line(text: str) -> None:
     """Print a line at once; a closed terminal ends nothing."""
     with suppress(OSError):
         print(in_plain_letters(text), flush=True)
@@ -130,7 +130,7 @@ def say(text: str) -> None:
 def keys() -> Iterator[Callable[[CurrentLoop], None]]:
     """Keys of a terminal answer the newest alarm or a question; without a terminal nothing is read."""
     if not sys.stdin or not sys.stdin.isatty():
-        yield lambda steering: None
+        yield lambda current_loop: None
         return
     import select
     import termios
@@ -140,7 +140,7 @@ def keys() -> Iterator[Callable[[CurrentLoop], None]]:
     before, ended = termios.tcgetattr(file), threading.Event()
     reading: list[threading.Thread] = []
 
-    def listen(steering: CurrentLoop) -> None:
+    def listen(current_loop: CurrentLoop) -> None:
         def work() -> None:
             while not ended.is_set():
                 if not select.select([file], [], [], 0.2)[0]:
@@ -152,11 +152,13 @@ def keys() -> Iterator[Callable[[CurrentLoop], None]]:
                 if not typed:
                     return
                 for key in typed:
-                    answer(steering, key)
+                    answer(current_loop, key)
 
         reading.append(threading.Thread(target=work, name="keys", daemon=True))
         reading[0].start()
-        say("keys: t touched, n nothing there; after a question: y learn, x do not; Ctrl-C ends tauext, not the arm")
+        print_line(
+            "keys: t touched, n nothing there; after a question: y learn, x do not; Ctrl-C ends tauext, not the arm"
+        )
 
     tty.setcbreak(file)
     try:
@@ -169,14 +171,14 @@ def keys() -> Iterator[Callable[[CurrentLoop], None]]:
             termios.tcsetattr(file, termios.TCSADRAIN, before)
 
 
-def answer(steering: CurrentLoop, key: str) -> None:
+def answer(current_loop: CurrentLoop, key: str) -> None:
     """Give the answer of a key; other keys do nothing."""
     what = KEYS.get(key.lower())
     if what is None:
         return
     try:
-        steering.answer(what, "key")  # type: ignore[arg-type]
+        current_loop.answer(what, "key")  # type: ignore[arg-type]
     except TauextError as error:
-        say(str(error))
+        print_line(str(error))
     else:
-        say(f"stored: {STORED[what]}")
+        print_line(f"stored: {STORED[what]}")

@@ -1,4 +1,4 @@
-"""A live stream checked before and while it is recorded: what is known of the arm, and findings in words."""
+"""A live stream checked before and while it is recorded: facts of the arm, and findings in words."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def _words(finding: Finding) -> str:
 def _still(diagnosis: Diagnosis, low: Collection[str | None]) -> list[Remark]:
     """What cannot be judged yet of single joints."""
     if any(finding.code == "never-moves" for finding in diagnosis.findings):
-        return []  # the topics say so
+        return []  # the topics contain this
     words = "it moves too little so far: its friction and weight cannot be judged"
     remedy = "let it move by at least 0.2 rad, both ways, slowly and fast"
     return [
@@ -577,7 +577,7 @@ def as_entries(lives: Iterable[Remark]) -> list[dict[str, Any]]:
 
 
 def load_known(folder: CommissionFolder, segments: Sequence[Segment]) -> list[Recording]:
-    """Recordings with their labels, and with what is known of the torque by now."""
+    """Load recordings with their labels, and with the settled unit and timing of the torque."""
     recordings, arm = folder.load(segments), folder.facts.get("arm")
     known = {} if arm is None else provenance_of(facts_of_data(arm))
     return [replace(one, provenance=one.provenance | known) for one in recordings] if known else recordings

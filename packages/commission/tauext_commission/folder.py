@@ -15,7 +15,17 @@ from typing import Any
 import numpy as np
 
 from tauext.bundle.bundle_file import load_bundle
-from tauext.bundle.history_file import (
+from tauext.data.dataset import FILE_NAME as SPLIT
+from tauext.data.dataset import Split
+from tauext.data.labels import EPOCH, Label
+from tauext.data.recording import Recording
+from tauext.data.recording_file import load_recording, stretch_of
+from tauext.errors import ConfigError, TauextError
+from tauext.files.plain_file import FORMAT, json_of, read_text
+from tauext.files.preflight import expect_folder
+from tauext.files.provenance import write_json
+from tauext_commission import journal
+from tauext_commission.history_file import (
     BUNDLES,
     COVERAGE,
     FACTS,
@@ -29,22 +39,13 @@ from tauext.bundle.history_file import (
     read_coverage,
     read_facts,
     read_history,
+    read_labels,
     received_s,
     unusable_words,
 )
-from tauext.data.dataset import FILE_NAME as SPLIT
-from tauext.data.dataset import Split
-from tauext.data.labels import EPOCH, Label, read_labels
-from tauext.data.labels import KIND as LABEL
-from tauext.data.recording import Recording
-from tauext.data.recording_file import load_recording, stretch_of
-from tauext.errors import ConfigError, TauextError
-from tauext.files import journal
-from tauext.files.journal_lines import is_bundle_name, is_whole, why_unusable
-from tauext.files.plain_file import FORMAT, json_of, read_text
-from tauext.files.preflight import expect_folder
-from tauext.files.provenance import write_json
-from tauext.files.synced_file import lock, reserve, set_aside, write_synced
+from tauext_commission.history_file import KIND as LABEL
+from tauext_commission.journal_lines import is_bundle_name, is_whole, why_unusable
+from tauext_commission.synced_file import lock, reserve, set_aside, write_synced
 
 # --- The index of recordings, from which split.json follows.
 
@@ -58,7 +59,7 @@ class Segment:
     """One recording of the folder."""
 
     name: str
-    """Of its file."""
+    """Name of its file."""
     number: int
     set: str
     """train, test or calibration; it never changes."""
@@ -102,7 +103,7 @@ def superfluous(
     last: dict[Any, list[journal.Line]] = {}
     for one in reversed(contents.lines):
         kind = str(one.get("kind"))
-        if one["number"] == 1 or kind not in ("event", LABEL, "file", journal.COMPACTED):
+        if kind not in ("event", LABEL, "file", journal.COMPACTED):
             continue
         id = one.get("name" if kind == "file" else "id")
         is_answer = kind == LABEL and one.get("answer") in ("touched", "nothing")
@@ -125,7 +126,7 @@ def superfluous(
 
 
 LEAST_WORTH = 1000
-"""Fewest lines that are worth a new copy of both files."""
+"""Fewest lines that are worth it."""
 
 
 def spans_of(segments: Iterable[Segment]) -> dict[int, tuple[np.ndarray, np.ndarray]]:
@@ -197,8 +198,10 @@ class CommissionFolder:
                 whole bundle that cannot be written is opened as it is: see `unwritable`.
 
         Raises:
-            ConfigError: it is no such folder, holds something else, or cannot be written and has no whole bundle.
+            ConfigError: it is no such folder, holds something else, is of another version, or cannot be written and has
+                no whole bundle.
         """
+        journal.read(path)  # refuses one of another version
         folder = cls(path)
         if not create:
             if not (path / FACTS).is_file():
@@ -258,7 +261,7 @@ class CommissionFolder:
         content = {"created": wall(), "epoch": max(epochs, default=0), "first": self.next_number()}
         journal.append(self.path, "facts", content, 0 if journal.read(self.path).lines else lines)
         self.save()
-        self.report(f"{FACTS} and both files of the journal were missing or damaged")
+        self.report(f"{FACTS}, the journal and its backup were missing or damaged")
 
     def _mend(self) -> None:
         """Refill the journal, and set aside what lies in the place of the folder's other files."""
@@ -308,7 +311,7 @@ class CommissionFolder:
             except OSError:
                 if not self.unwritable:
                     raise
-                file = None  # nobody can write: there is nothing to hold
+                file = None  # no process can write, so that there is nothing to hold
             try:
                 if file is not None:
                     fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -373,12 +376,19 @@ class CommissionFolder:
         self._append("event", {key: value for key, value in event.items() if key not in ("answer", "by")})
 
     def append_label(self, label: Label) -> None:
-        """Keep a label; it is on the disk on return."""
+        """Keep a label; it is on the disk on return, an answer in the backup, too."""
         self._append(LABEL, asdict(label))
+        if label.is_answered:
+            self._back_up()
 
     def append_reply(self, answer: str, by: str) -> None:
         """Keep the answer to the question about a change of the arm."""
         self._append("reply", {"answer": answer, "by": by, "wall": wall()})
+        self._back_up()
+
+    def _back_up(self) -> None:
+        with suppress(OSError):  # sync() tries again
+            journal.mend(self.path)
 
     def labels(self) -> tuple[Label, ...]:
         """The newest label of each id."""
@@ -399,10 +409,16 @@ class CommissionFolder:
         """Note in commission.json how long the journal is, and mend it if another program has changed it."""
         if journal.read(self.path).last > noted_in(self.facts):
             self.save()
-        if not journal.is_even(self.path) and (words := journal.mend(self.path)):
+        if words := journal.mend(self.path):
             self.report(words)
         if len(journal.read(self.path).lines) > self._compacted + COMPACT_LINES:
             self.compact()
+
+    def close(self) -> None:
+        """Renew the journal's backup, and close the journal; a full disk leaves it as it is."""
+        if not self.unwritable:
+            self._back_up()
+        journal.close(self.path)
 
     def compact(self) -> None:
         """Leave out lines of the journal that nothing needs, and begin a new log where it is large; a full disk waits.

@@ -10,7 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from tauext.bundle.bundle_file import load_bundle
-from tauext.bundle.history_file import (
+from tauext.errors import ConfigError, TauextError
+from tauext.files.atomic_write import atomic_write
+from tauext.fit.tail import duration, is_kept, promised_per_hour
+from tauext.monitor.monitored_time import percent
+from tauext_commission.history_file import (
     active_bundle,
     bundle_file,
     left_out,
@@ -26,10 +30,6 @@ from tauext.bundle.history_file import (
     unusable_words,
     watches,
 )
-from tauext.errors import ConfigError, TauextError
-from tauext.files.atomic_write import atomic_write
-from tauext.fit.tail import duration, is_kept, promised_per_hour
-from tauext.monitor.monitored_time import percent
 
 # --- The promise of the bundle in charge, and its false alarms.
 

@@ -138,7 +138,7 @@ class LastingSource:
 
     @property
     def counts(self) -> SourceCounts:
-        """Of all sources so far."""
+        """Counts of all sources so far."""
         now = SourceCounts() if self._source is None else self._source.counts
         return SourceCounts(*(a + b for a, b in zip(astuple(self._before), astuple(now), strict=True)))
 

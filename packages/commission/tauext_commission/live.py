@@ -56,7 +56,7 @@ class Curves:
         self._share = 0.0
 
     def add(self, verdict: Verdict) -> None:
-        """In the loop's thread."""
+        """Called in the loop's thread."""
         count = len(verdict.t_ns)
         rows = np.arange(self._written, self._written + count) % MOST_FRESH
         self._t_ns[rows] = verdict.t_ns
@@ -104,7 +104,8 @@ def monitored_facts(now: Monitored, remedy: str) -> dict[str, Any]:
 class LiveSink:
     """Sends lines to the readers of a socket. The loop's thread only keeps the newest verdict, and that of a rise.
 
-    A reader that is slow loses lines. Without a loop, lines still come, so that a page can tell waiting from silence.
+    A reader that is slow loses lines. Without a loop, lines still come, so that a page can distinguish waiting from
+    silence.
     """
 
     def __init__(self, path: Path):
@@ -115,7 +116,7 @@ class LiveSink:
         """What a person can do if samples come late or not at all."""
         self.bundle: str | None = None
         self.alarm: Callable[[int], dict[str, Any] | None] = lambda number: None
-        """What is known of an alarm."""
+        """Returns the facts of an alarm."""
         self._path = path
         self._joints: tuple[str, ...] = ()
         self._units: tuple[str, ...] = ()
@@ -127,7 +128,7 @@ class LiveSink:
         self._lines = 0
         self._report: LoopReport | None = None
         self._readers: dict[socket.socket, tuple[bytes, float]] = {}
-        """Of each reader: the rest of a line that it takes, and since when it is slow, by time.monotonic(); inf: it is
+        """Each reader's rest of the line that it takes, and since when it is slow, by time.monotonic(); inf: it is
         not."""
         self._wake, self._ended = threading.Event(), False
         path.unlink(missing_ok=True)

@@ -18,20 +18,20 @@ from typing import Any
 
 import numpy as np
 
-from tauext.bundle.history_file import BUNDLES, NOTED, monitored_of
 from tauext.data.importers.raw import short_list
 from tauext.data.labels import Label
 from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
-from tauext.files import journal
 from tauext.files.plain_file import json_of, read_text
-from tauext.files.synced_file import reserve, set_aside, write_synced
 from tauext.monitor.flight_files import ENDINGS, PART
 from tauext.monitor.monitored_time import Monitored
 from tauext.monitor.record_sink import RecordSink
 from tauext.monitor.sink import Control, LoopReport
 from tauext.monitor.source import SourceSettings
+from tauext_commission import journal
 from tauext_commission.folder import NEAR_NS, CommissionFolder, Segment
+from tauext_commission.history_file import BUNDLES, NOTED, monitored_of
+from tauext_commission.synced_file import reserve, set_aside, write_synced
 
 # --- Coverage: what each joint has done so far, and what is missing in words.
 
@@ -41,7 +41,7 @@ CELLS, CELL_RAD, CELL_M = 128, 2 * np.pi / 64, 0.01
 SPEEDS_RAD_S = (0.02, 0.1, 0.3, 0.6, 1.0, 1.5, 2.2)
 """Edges of the speed cells, one set for each direction; below the first one a joint is at rest."""
 OFTEN = 12
-"""Recordings that visit a cell until it counts as known."""
+"""A cell that this many recordings have visited holds no new motion."""
 NEWS = 0.05
 """Least share of a recording's samples in cells that are not known yet, so that it is new motion."""
 LOOK_HZ = 50.0
@@ -89,7 +89,7 @@ class Coverage:
 
     @classmethod
     def load(cls, path: Path, arm: SourceSettings) -> Coverage:
-        """As it was saved; where the file is not usable, new but for the times in coverage.json beside it."""
+        """Load what save() wrote; an unusable file gives new cells, with the times in coverage.json beside it."""
         made = cls.new(arm)
         with suppress(OSError, ValueError, LookupError, TypeError):
             times = json_of(read_text(path.with_suffix(".json")))
@@ -122,11 +122,11 @@ class Coverage:
         self.fastest = np.maximum(self.fastest, lasting.max(axis=0))
         q, dq = q[::stride], dq[::stride]
         step_s = stride * period_s
-        place = np.clip(np.floor(q / self.width).astype(int) + CELLS // 2, 0, CELLS - 1)
+        position = np.clip(np.floor(q / self.width).astype(int) + CELLS // 2, 0, CELLS - 1)
         speed = np.searchsorted(SPEEDS_RAD_S, np.abs(dq), side="right")
         speed = np.where(dq < 0, speed + len(SPEEDS_RAD_S) * (speed > 0), speed)
         joint = np.arange(q.shape[1])
-        self.visited[joint, place] = True
+        self.visited[joint, position] = True
         still = np.abs(dq) < SPEEDS_RAD_S[0]
         self.rest_s += step_s * still.sum(axis=0)
         self.slow_s += step_s * (~still & (np.abs(dq) < SLOW_RAD_S)).sum(axis=0)
@@ -134,7 +134,7 @@ class Coverage:
             ways = np.sign(dq[~still[:, j], j])
             turns = np.diff(ways)
             self.reversals[j] += [int((turns < 0).sum()), int((turns > 0).sum())]
-        flat = np.ravel_multi_index((np.broadcast_to(joint, place.shape), place, speed), self.cells.shape)
+        flat = np.ravel_multi_index((np.broadcast_to(joint, position.shape), position, speed), self.cells.shape)
         new = self.cells.ravel()[flat] < OFTEN
         return flat, float(new.any(axis=1).mean())
 
@@ -209,7 +209,7 @@ TRAIN_S = 64 * 60.0
 SCHEDULE_MIN = (1, 2, 4, 8, 16, 32, 64)
 """Kept motion, [min], after which a training begins."""
 EVERY, TEST = 5, 4
-"""Of EVERY recordings the one with this remainder is for tests, and never trained on."""
+"""A recording whose number divided by EVERY has this remainder is for tests, and never trained on."""
 TEST_SHARE = 0.2
 """Largest share of the recordings' space that test motion after the training takes."""
 FRESH_S = 600.0
@@ -297,7 +297,7 @@ def to_drop(
 # --- The sink.
 
 
-class KeepSink(RecordSink):
+class MotionRecorder(RecordSink):
     """Keeps recordings without contact column, coverage, and the bound of disk space.
 
     Every run, and every restart of the source's clock, is another epoch.
@@ -389,7 +389,7 @@ class KeepSink(RecordSink):
         self._try(self._keep_news, segment)
 
     def _keep_news(self, segment: dict[str, np.ndarray]) -> None:
-        if (begin := learns_from(self._kept)) != self._coverage.begin:  # of the changed arm, no motion is known yet
+        if (begin := learns_from(self._kept)) != self._coverage.begin:  # no motion of the changed arm is recorded yet
             self._coverage.begin = begin
             self._coverage.cells[:] = 0
         t_ns, period_s = segment["t_ns"], 1e-9 * self._arm.period_ns
@@ -537,7 +537,7 @@ def trim_damaged(folder: Path, most_bytes: int) -> str:
 
     First recordings, then other files, at last those of the journal; the oldest first. The newest stays.
     """
-    found = {path: path.lstat() for place in (folder, folder / BUNDLES) for path in place.glob("*.damaged*")}
+    found = {path: path.lstat() for at in (folder, folder / BUNDLES) for path in at.glob("*.damaged*")}
     found = {
         path: status for path, status in found.items() if DAMAGED.match(path.name) and stat.S_ISREG(status.st_mode)
     }

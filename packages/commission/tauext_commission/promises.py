@@ -1,7 +1,7 @@
 """Limits of a commissioned arm from all its calibration motion, as `tauext calibrate` sets them, and their promise.
 
 CalibrationPeaks keep the peaks of the errors under one model. New motion is added as it comes, so that recordings may
-be dropped; touches that become known later are left out again. Promises makes bundles with limits by these peaks, and
+be dropped; touches that are reported later are left out again. Promises makes bundles with limits by these peaks, and
 counts what happens while they monitor.
 """
 
@@ -24,9 +24,7 @@ from tauext.data.labels import EPOCH, MARGINS, SUSPECT_MARGINS, Label
 from tauext.data.recording import Recording
 from tauext.errors import TauextError
 from tauext.files.checkpoint import Checkpoint
-from tauext.files.journal_lines import is_bundle_name
 from tauext.files.provenance import provenance
-from tauext.files.synced_file import write_synced
 from tauext.fit.tail import promised_per_hour
 from tauext.train.calibrate import write_calibrated
 from tauext.train.held_peaks import Peaks, collect_peaks
@@ -36,7 +34,9 @@ from tauext.train.promised_limits import no_freeze
 from tauext.train.suspects import Suspect, find_suspects, suspect_sentences, unusual_sentence
 from tauext_commission.folder import CommissionFolder, Segment, joined, up_to, wall
 from tauext_commission.history import Kept, kept_of
+from tauext_commission.journal_lines import is_bundle_name
 from tauext_commission.motion_recorder import LEARNED, segments_of_arm
+from tauext_commission.synced_file import write_synced
 
 THREADS = 1
 """Training must not take cores from the loop."""
@@ -44,9 +44,9 @@ LEAD_S = 600.0
 """Motion before calibration motion that the drift tracker learns from, [s]."""
 TURN_S = 1800.0
 """Calibration motion in memory at a time, [s]."""
-Place = tuple[str, int, int, int]
+Span = tuple[str, int, int, int]
 """Name, epoch, first and last stamp of a motion in the peaks."""
-STATE = tuple[list[Peaks], list[Place], int, float, set[int], set[int], dict[int, tuple[int, int]]]
+STATE = tuple[list[Peaks], list[Span], int, float, set[int], set[int], dict[int, tuple[int, int]]]
 """Fields of CalibrationPeaks in their file."""
 
 
@@ -56,8 +56,8 @@ class CalibrationPeaks:
     def __init__(self, folder: CommissionFolder, base: str):
         self._folder, self.base = folder, base
         self.peaks: list[Peaks] = []
-        """For each hold time."""
-        self.places: list[Place] = []
+        """Largest errors, one entry for each hold time."""
+        self.spans: list[Span] = []
         self.learned = 0
         self.limits_h = 0.0
         self.counted: set[int] = set()
@@ -72,13 +72,13 @@ class CalibrationPeaks:
     def load(cls, folder: CommissionFolder, base: str) -> CalibrationPeaks:
         made = cls(folder, base)
         if (state := made._checkpoint.load(STATE)) is not None:
-            (made.peaks, made.places, made.learned) = state[:3]
+            (made.peaks, made.spans, made.learned) = state[:3]
             (made.limits_h, made.counted, made.limited, made.forgotten) = state[3:]
         return made
 
     def put(self) -> None:
         """Keep the state, then allow the recorder to drop what was learned."""
-        peaks = (self.peaks, self.places, self.learned)
+        peaks = (self.peaks, self.spans, self.learned)
         self._checkpoint.put((*peaks, self.limits_h, self.counted, self.limited, self.forgotten))
         write_synced(self._folder.path / LEARNED, json.dumps({"number": self.learned}) + "\n")
 
@@ -104,10 +104,10 @@ class CalibrationPeaks:
         false = [one for one in false if one.set != "calibration" or one.number <= self.learned]
         bundle = load_bundle(self._folder.bundles / f"{self.base}.tauext")
         numbers = {one.number for one in (*fresh, *false)}
-        before, places, since = copy.deepcopy(self.peaks), list[Place](), len(self.places)
+        before, spans, since = copy.deepcopy(self.peaks), list[Span](), len(self.spans)
         try:
             with no_freeze(bundle):
-                counted = self._counted([one for one in segments if one.number in numbers], segments, places)
+                counted = self._counted([one for one in segments if one.number in numbers], segments, spans)
                 if (first := next(counted, None)) is not None:
                     recordings = chain([first], counted)
                     holds_s = AlarmConfig().holds_s
@@ -115,22 +115,22 @@ class CalibrationPeaks:
         except BaseException:
             self.peaks = before
             raise
-        self.places += places
+        self.spans += spans
         self.learned = learned
         self.counted = {one.id for one in labels if one.answer == "nothing"}
         self.forgotten = {id: span for id, span in self.forgotten.items() if id not in self.counted}
         self._forget(labels)
-        if places:
+        if spans:
             self._forget(self._suspected(bundle, segments, labels, since))
         self.put()
 
     def _suspected(
         self, bundle: _core.Bundle, segments: Sequence[Segment], labels: Sequence[Label], since: int
     ) -> list[Label]:
-        """Label the touches that nobody reported in the newest motion; returns their labels."""
+        """Label touches without an alarm or an answer in the newest motion; returns their labels."""
 
         def load(number: int) -> Recording:
-            _, epoch, from_ns, to_ns = self.places[number]
+            _, epoch, from_ns, to_ns = self.spans[number]
             inside = [one for one in segments if one.epoch == epoch and one.from_ns <= to_ns and one.to_ns >= from_ns]
             return joined(self._folder.load(inside))
 
@@ -141,16 +141,16 @@ class CalibrationPeaks:
     def suspects(self) -> int:
         """Number of suspects whose peaks were left out."""
         left_out = [one for one in self._folder.labels() if one.answer == "suspect" and one.id in self.forgotten]
-        return sum(any(_within(one, place) for place in self.places) for one in left_out)
+        return sum(any(_within(one, span) for span in self.spans) for one in left_out)
 
     def _counted(
-        self, chosen: Sequence[Segment], segments: Sequence[Segment], places: list[Place]
+        self, chosen: Sequence[Segment], segments: Sequence[Segment], spans: list[Span]
     ) -> Iterator[Recording]:
         """Motion of the chosen recordings, each after the motion before it: the drift tracker then has learned what it
         has learned in the loop. Only chosen motion counts; the other is of unknown contact.
 
         Args:
-            places: receives the place of each motion.
+            spans: receives the span of each motion.
         """
         at_s = dict(zip((one.number for one in segments), np.cumsum([one.seconds for one in segments]), strict=True))
         groups: list[list[Segment]] = []
@@ -168,7 +168,7 @@ class CalibrationPeaks:
                 motion = joined([_only(own, run) for run in runs])  # the drift tracker goes on after a gap
                 known = motion.contact is not None and bool((motion.contact == 0).any())
                 if own and known:  # else their files were dropped meanwhile
-                    places.append((own[0].stem, epoch, int(motion.t_ns[0]), int(motion.t_ns[-1])))
+                    spans.append((own[0].stem, epoch, int(motion.t_ns[0]), int(motion.t_ns[-1])))
                     yield replace(motion, name=own[0].stem)
 
     def _forget(self, labels: Sequence[Label]) -> None:
@@ -178,7 +178,7 @@ class CalibrationPeaks:
             span = (label.from_ns - before, label.to_ns + after)
             if label.answer == "nothing" or self.forgotten.get(label.id) == span:
                 continue
-            for k, (_, epoch, from_ns, to_ns) in enumerate(self.places):
+            for k, (_, epoch, from_ns, to_ns) in enumerate(self.spans):
                 if epoch == label.epoch and from_ns <= span[1] and to_ns >= span[0]:
                     for peaks in self.peaks:
                         peaks.forget(k, span[0] - from_ns, span[1] - from_ns)
@@ -209,8 +209,8 @@ def meets(one: Segment, label: Label) -> bool:
     return one.epoch == label.epoch and one.from_ns <= label.to_ns and one.to_ns >= label.from_ns
 
 
-def _within(label: Label, place: Place) -> bool:
-    _, epoch, from_ns, to_ns = place
+def _within(label: Label, span: Span) -> bool:
+    _, epoch, from_ns, to_ns = span
     return label.epoch == epoch and from_ns <= label.to_ns and to_ns >= label.from_ns
 
 
@@ -307,7 +307,7 @@ class Promises:
             words = ", ".join(f"{joint} by {factor - 1:.0%}" for joint, factor in raised.items())
             sentence += f" Limits are raised for false alarms that the calibration does not contain: {words}."
         facts = json.loads(bundle.provenance or "{}")
-        recordings = sorted({name for name, *_ in calibration.places})
+        recordings = sorted({name for name, *_ in calibration.spans})
         facts["limits"] = limits | {"sentence": sentence, "recordings": recordings, RAISED: raised}
         settings = {"bundle": active.name, "dataset": folder.path.name, "alarm": asdict(alarm)}
         facts["calibrated"] = provenance("tauext commission", settings, seed=None)

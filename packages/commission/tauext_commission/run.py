@@ -13,7 +13,6 @@ import socket
 import tempfile
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
@@ -21,15 +20,10 @@ from pathlib import Path
 from typing import Any, cast
 
 from tauext import _core
-from tauext.bundle.history_file import is_commissioned, lost_words, read_question, unusable_words
 from tauext.errors import AwayError, ConfigError, TauextError
 from tauext.files.atomic_write import atomic_write
-from tauext.files.journal import is_journal
-from tauext.files.journal_lines import is_bundle_name
-from tauext.files.synced_file import set_aside, write_reserved, write_synced
 from tauext.monitor.cell_file import Cell
 from tauext.monitor.control_lines import CONTROL, ControlSocket
-from tauext.monitor.exchange import Exchanged
 from tauext.monitor.latency import how_to_hold_the_rate
 from tauext.monitor.loop import Loop, LoopSettings
 from tauext.monitor.monitored_time import MINUTE_S, MonitoredNews
@@ -54,19 +48,22 @@ from tauext_commission.connect import (
     sentence_of,
     write_arm,
 )
+from tauext_commission.exchange import BundleExchange, Exchanged
 from tauext_commission.folder import CommissionFolder, is_bundle
-from tauext_commission.lasting import LastingSource
+from tauext_commission.history_file import is_commissioned, lost_words, read_question, unusable_words
+from tauext_commission.journal import is_journal
+from tauext_commission.journal_lines import is_bundle_name
+from tauext_commission.lasting import DESCRIBE_S, LONGEST_RETRY_S, RETRY_S, LastingSource
 from tauext_commission.live import LiveSink
-from tauext_commission.motion_recorder import KeepSink, repaired
+from tauext_commission.motion_recorder import MotionRecorder, repaired
 from tauext_commission.processes import Child
+from tauext_commission.synced_file import set_aside, write_reserved, write_synced
 from tauext_commission.trainer import run_trainer
 
 Echo = Callable[[str], None]
 
 BEFORE_S, AFTER_S = 5.0, 2.0
 """Length of a flight around its event."""
-DESCRIBE_S = 10.0
-RETRY_S, LONGEST_RETRY_S = 1.0, 30.0
 CARRIED_S = 10.0
 """Time between two copies of what the next process continues from: drift, factors, load and the alarm that stands."""
 SETTLED_S = 3.5
@@ -107,7 +104,11 @@ class Options:
 
 
 def run(
-    path: Path, text: str, options: Options, echo: Echo, listen: Callable[[CurrentLoop], None] = lambda steering: None
+    path: Path,
+    text: str,
+    options: Options,
+    echo: Echo,
+    listen: Callable[[CurrentLoop], None] = lambda current_loop: None,
 ) -> None:
     """Commission the arm of this source until Ctrl-C, SIGTERM or the line `stop`; the folder continues where it was.
 
@@ -134,8 +135,9 @@ def run(
     if (known := known_arm(folder)) is not None:
         options.cell(known.settings.joints)
     with folder.locked(), ExitStack() as stack:
+        stack.callback(folder.close)
         commission = Commission(folder, text, options, echo, stack)
-        listen(commission.steering)
+        listen(commission.current_loop)
         commission.run()
 
 
@@ -194,7 +196,7 @@ class Commission:
         self._folder, self._text, self._options, self._echo, self._stack = folder, text, options, echo, stack
         self._asked_to_stop, self._stopping = threading.Event(), threading.Event()
         self._by = ""
-        self._record: KeepSink | None = None
+        self._record: MotionRecorder | None = None
         self._flights: FlightSink | None = None
         self._source: Source | None = None
         self._loop: Loop | None = None
@@ -202,13 +204,13 @@ class Commission:
         free_sockets(at, folder)
         self._live = LiveSink(at / "live.sock")
         stack.callback(self._live.end)
-        self._keeper = AlarmJournal(folder, lambda: self._record.epoch if self._record else 0, self._note)
-        stack.callback(self._keeper.end)
-        self._keeper.learn = self._learn
-        self._live.alarm = self._keeper.event
-        self.steering = CurrentLoop(self._keeper, self.stop)
+        self._alarm_journal = AlarmJournal(folder, lambda: self._record.epoch if self._record else 0, self._note)
+        stack.callback(self._alarm_journal.end)
+        self._alarm_journal.learn = self._learn
+        self._live.alarm = self._alarm_journal.event
+        self.current_loop = CurrentLoop(self._alarm_journal, self.stop)
         self._children: list[Child] = []
-        control = ControlSocket(at / "control.sock", self.steering, self._origin)
+        control = ControlSocket(at / "control.sock", self.current_loop, self._origin)
         stack.callback(control.close)
         self._own: dict[str, Any] = {"source": text, "control": str(at / "control.sock"), "live": str(at / "live.sock")}
         self._own["process"] = os.getpid()
@@ -227,7 +229,8 @@ class Commission:
         self._shown = folder.shown
         self._active = 0
         """Number of the activation whose bundle the loop took."""
-        self._exchanges: deque[Exchanged] = deque()
+        self._exchanged: Exchanged | None = None
+        """The newest exchange of the bundle until the history has it; another one comes 10 s later at the earliest."""
         self._why_refused, self._again_s = ("", ""), math.inf
         """The newest bundle that did not take over and why, and the monotonic time at which it is tried again."""
         self._again = False
@@ -361,38 +364,37 @@ class Commission:
         folder, options, live = self._folder, self._options, self._live
         settings, self._arm = facts.settings, json.loads(json.dumps(as_data(facts)))
         bundle = self._first_bundle()
-        record = KeepSink(folder, settings, source.name, options.disk_bytes, lambda: live.bundle or "")
-        record.note = self._note
+        record = MotionRecorder(folder, settings, source.name, options.disk_bytes, lambda: live.bundle or "")
         recorder = _core.FlightRecorder(len(settings.joints), settings.period_ns, BEFORE_S, AFTER_S, True)
         flights = FlightSink(folder.flights, bundle, recorder, source.name)
         reactions = start_reactions(options.cell(settings.joints).reactions, source, publishers)
         chosen = LoopSettings(acknowledge_after_s=ASKING_S, core=options.core, priority=options.priority)
-        sinks = [*publishers, flights, record, self._keeper, live]
+        sinks = [*publishers, flights, record, self._alarm_journal, live]
         loop = Loop(bundle, source, sinks, reactions, None, recorder, chosen, arm=settings)
-        newest = max([self._keeper.newest, *(one.id for one in folder.labels())])  # an event's line may be lost
+        newest = max([self._alarm_journal.newest, *(one.id for one in folder.labels())])  # an event's line may be lost
         loop.note, loop.monitor.alarms = self._note, newest
-        loop.exchanged = self._exchanges.append
+        self._exchange = BundleExchange(loop, settings, self._keep_exchanged)
         live.describe(settings.joints, settings.torque_units)
         if bundle is not None and isinstance(loop.monitor, _core.Monitor):
-            for sink in (live, self._keeper):
+            for sink in (live, self._alarm_journal):
                 sink.follow(bundle, loop.monitor)
             with suppress(OSError):
                 carried = (folder.path / CARRIED).read_bytes()
-                is_answered = bool((self._keeper.event(newest) or {}).get("answer"))
+                is_answered = bool((self._alarm_journal.event(newest) or {}).get("answer"))
                 if reason := loop.start_from(carried, newest, is_answered):
                     self._note(f"drift and alarm of the last run are not continued: {reason}")
         self._source, self._record, self._flights, self._loop = source, record, flights, loop
-        self.steering.loop = loop
+        self.current_loop.loop = loop
         if self._by:  # stopped meanwhile
             loop.stop(self._by)
         loop.run()
         self._news_of_flights()
         if self._again:
-            self._loop = self._source = self.steering.loop = None
+            self._loop = self._source = self.current_loop.loop = None
             self._again = False
             return True
         if not self._by:
-            self._has_ended, self.steering.loop = True, None  # an ended loop takes no answer
+            self._has_ended, self.current_loop.loop = True, None  # an ended loop takes no answer
             self._note(f"{source.name} has ended; training continues with what was recorded until Ctrl-C")
             self._asked_to_stop.wait()
         return False
@@ -470,8 +472,8 @@ class Commission:
         if self._live.bundle is None and not self._again and self._folder.facts.get("arm") != self._arm:
             self._again = True  # the training found that the torque has another unit
             return loop.stop("the training: the torque has another unit")
-        self._exchange(loop, time.monotonic())
-        self._keep_carried(loop, time.monotonic())
+        self._bring_bundle(self._exchange, time.monotonic())
+        self._keep_carried(self._exchange.carried, time.monotonic())
 
     def _watch_bundle(self) -> None:
         """Write the bundle that monitors again if another program has removed or changed its file."""
@@ -492,22 +494,22 @@ class Commission:
             write_bytes(path, self._bundle_file)
             self._folder.report(f"{path.name} was missing or damaged, and is written again as it monitors")
 
-    def _exchange(self, loop: Loop, now_s: float) -> None:
+    def _bring_bundle(self, exchange: BundleExchange, now_s: float) -> None:
         """Bring the bundle in charge into the loop, again if it could not take over; write what took over."""
         path, is_new = self._folder.active(), (now := self._folder.activation) != self._active
         if path is not None and (is_new or (now_s > self._again_s and path.stem != self._live.bundle)):
             self._active, self._again_s = now, math.inf
-            loop.exchange(path, lambda why: self._refused(path.stem, why))
-        while self._exchanges:
-            self._exchanged(self._exchanges[0])
-            self._exchanges.popleft()  # a full disk leaves it
+            exchange.bring(path, lambda why: self._refused(path.stem, why))
+        if (done := self._exchanged) is not None:
+            self._note_exchange(done)
+            self._exchanged = None if self._exchanged is done else self._exchanged  # a full disk leaves it
 
-    def _keep_carried(self, loop: Loop, now_s: float) -> None:
+    def _keep_carried(self, carried: bytes, now_s: float) -> None:
         """Write what the next process continues from now and then, and each second after an alarm rose or fell."""
         if self._live.alarm_number != self._carried_alarm:
             self._carried_alarm, self._alarm_s = self._live.alarm_number, now_s
         is_due = now_s > self._carried_s + CARRIED_S or now_s < self._alarm_s + SETTLED_S
-        if is_due and not self._folder.unwritable and (carried := loop.carried):
+        if is_due and not self._folder.unwritable and carried:
             self._carried_s = now_s
             write_bytes(self._folder.path / CARRIED, carried)
 
@@ -519,7 +521,11 @@ class Commission:
             if active is not None and active.stem == bundle:  # else a newer one has its turn
                 self._again_s = time.monotonic() + AGAIN_S
 
-    def _exchanged(self, done: Exchanged) -> None:
+    def _keep_exchanged(self, done: Exchanged) -> None:
+        """Called in the loop's thread, which must not wait for the disk."""
+        self._exchanged = done
+
+    def _note_exchange(self, done: Exchanged) -> None:
         self._folder.save(running=done.bundle)
         replayed_s = done.replayed * self._arm["period_ns"] * 1e-9
         words = f"{done.bundle} monitors the arm now, after a replay of {replayed_s:.0f} s"
@@ -528,7 +534,7 @@ class Commission:
 
     def _news_of_flights(self) -> None:
         for news in self._flights.news() if self._flights is not None else ():
-            self._keeper.flown(news)
+            self._alarm_journal.flown(news)
             if news.error:
                 self._note(f"flight of the {news.what} lost: {news.error}")
 
@@ -548,7 +554,7 @@ class Commission:
             self._noted_lost = bool(lost)
             self._lost_line_s = time.monotonic() if lost else self._lost_line_s
         live.lost = lost
-        asks = self._keeper.unanswered
+        asks = self._alarm_journal.unanswered
         if loop is None or not loop.samples:
             state = "connecting"
         elif self._question() or (asks is not None and age_s(asks.get("wall")) < ASKING_S):

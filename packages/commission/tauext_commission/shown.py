@@ -6,12 +6,12 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from tauext.bundle.history_file import is_commissioned
 from tauext.cli.arguments import print_replaced
 from tauext.cli.show import lines
 from tauext.errors import ConfigError
 from tauext.progress import aligned, in_plain_letters
 from tauext_commission.history import describe_folder, write_arms, write_history
+from tauext_commission.history_file import is_commissioned
 
 
 def show_folder(folder: Path, as_json: bool) -> None:

@@ -19,18 +19,14 @@ from tauext_lab.evaluate.results_folder import write_results
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.estimates import COLLISION
-from tauext.bundle.history_file import read_findings
 from tauext.check.before_training import WORTH_A_WARNING
 from tauext.check.finding import Finding
 from tauext.config import PAPER_CASES, PriorConfig, TrainConfig
 from tauext.data.dataset import ROBOT_FILES, Dataset, Split
 from tauext.data.free_motion import free_pieces
 from tauext.errors import ConfigError, FaultyDataError, TauextError
-from tauext.files.journal import REPAIR
-from tauext.files.journal_lines import is_bundle_name
 from tauext.files.plain_file import json_of, read_text
 from tauext.files.preflight import expect_memory
-from tauext.files.synced_file import write_synced
 from tauext.monitor.estimate import estimate_recording
 from tauext.progress import SILENT
 from tauext.robot.model_case import chosen_case
@@ -53,9 +49,13 @@ from tauext_commission.connect import (
     settled,
 )
 from tauext_commission.folder import CommissionFolder, Segment, up_to, wall
+from tauext_commission.history_file import read_findings
+from tauext_commission.journal import REPAIR
+from tauext_commission.journal_lines import is_bundle_name
 from tauext_commission.motion_recorder import motion_s, segments_of_arm
 from tauext_commission.promises import MOST_TEST_S, THREADS, Promises, meets, put_suspects
 from tauext_commission.schedule import Facts, next_step
+from tauext_commission.synced_file import write_synced
 
 RIPPLES_FROM_MIN = 8
 """Motion from which ripples are fitted, [min]; less has too few turns, and their search takes most of a training."""
@@ -216,7 +216,7 @@ class Trainer:
         return accepted_settings(TrainConfig(recipe="prior", threads=THREADS, prior=prior), ())
 
     def _train(self, minutes: float) -> None:
-        """Train on all training motion, without touches that nobody reported."""
+        """Train on all training motion; suspected touches without a report are left out."""
         folder, segments = self.folder, segments_of_arm(self.folder)
         training = [one for one in segments if one.set == "train"]
         out = folder.next_bundle()
@@ -370,7 +370,7 @@ def is_pending(content: Any) -> bool:
 
 def hits(bundle: EvaluatedBundle) -> float | None:
     """Share of the injected forces that are detected; None without any."""
-    curves = bundle.injected.curves if bundle.injected else ()
+    curves = bundle.forces.added.curves if bundle.forces.added else ()
     events = sum(one.events for one in curves)
     return round(sum(one.latched for one in curves) / events, 4) if events else None
 

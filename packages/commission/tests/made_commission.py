@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import json
+import sqlite3
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from unittest import mock
-from zlib import crc32
 
+from tauext_commission import journal
 from tauext_commission.folder import CommissionFolder
-from tauext_commission.motion_recorder import KeepSink
+from tauext_commission.history_file import read_question
+from tauext_commission.motion_recorder import MotionRecorder
 from tauext_lab.sim.arms import rig_arm
 
-from tauext.bundle.history_file import read_question
 from tauext.data.recording import Recording
-from tauext.files import journal
 from tauext.monitor.source import SourceSettings
 
 
@@ -26,7 +27,7 @@ def filled(path: Path, recordings: list[Recording], budget: float = 1e9) -> Comm
     if not (path / "robot.xml").exists():
         (path / "robot.xml").write_text(rig_arm().xml)
     for recording in recordings:
-        sink = KeepSink(folder, arm, "sim", budget)
+        sink = MotionRecorder(folder, arm, "sim", budget)
         sink.open(first.joints, None)
         for begin in range(0, recording.samples, sink._rows):
             part = slice(begin, begin + sink._rows)
@@ -44,17 +45,13 @@ def add_event(folder: CommissionFolder, **content) -> None:
 def forge(path: Path, kind: str, content: dict) -> None:
     """Append a line that the journal itself refuses, as another program could."""
 
-    def line(content: dict) -> bytes:
-        body = json.dumps(content).encode()  # NaN, too
-        return journal.CHECK % crc32(body) + body[1:] + b"\n"
+    def text(content: dict) -> str:
+        return json.dumps(content)  # NaN, too
 
     journal.read(path)  # with its rules
-    with (
-        mock.patch("tauext.files.journal.why_unusable", lambda line: ""),
-        mock.patch("tauext.files.journal._line", line),
-    ):
+    with mock.patch.object(journal, "why_unusable", lambda line: ""), mock.patch.object(journal, "_text", text):
         journal.append(path, kind, content)
-    journal._seen.clear()
+    journal.close_all()
 
 
 def words(folder: CommissionFolder) -> list[str]:
@@ -70,8 +67,11 @@ def question(folder: CommissionFolder) -> dict:
 
 
 def cut_journal(folder: CommissionFolder, kept=lambda line: True) -> None:
-    """Leave only the lines of both files for which this is true, as if another process had."""
-    for name in (journal.NAME, journal.COPY):
-        lines = (folder.path / name).read_bytes().splitlines(keepends=True)
-        (folder.path / name).write_bytes(b"".join(line for line in lines if kept(json.loads(line))))
-    journal._seen.clear()
+    """Leave only the lines of journal and backup for which this is true, as if another process had."""
+    lines = journal.read(folder.path).lines
+    journal.close_all()
+    for name in (journal.NAME, journal.BACKUP):
+        if (folder.path / name).exists():
+            with closing(sqlite3.connect(folder.path / name)) as database, database:
+                gone = [(line["number"],) for line in lines if not kept(line)]
+                database.executemany("DELETE FROM line WHERE number = ?", gone)

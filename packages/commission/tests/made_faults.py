@@ -17,17 +17,17 @@ from unittest import mock
 
 import numpy as np
 from made_bundles import JOINTS, pushed, watching_bundle
+from tauext_commission import journal
 from tauext_commission.folder import CommissionFolder
-from tauext_commission.motion_recorder import KeepSink
+from tauext_commission.history_file import lost_words
+from tauext_commission.motion_recorder import MotionRecorder
 from tauext_commission.promises import CalibrationPeaks
 from tauext_commission.run import Commission, Options, run
 from tauext_commission.trainer import Trainer
 
-from tauext.bundle.history_file import lost_words
 from tauext.data.labels import Label
 from tauext.data.recording_file import save_recording
 from tauext.errors import TauextError
-from tauext.files import journal
 from tauext.monitor.control_lines import obey
 from tauext.monitor.source import SourceSettings
 
@@ -69,11 +69,13 @@ def prepare(work: Path) -> Path:
             folder.pending_file.write_text(json.dumps({"bundle": "b0009", "minutes": 1}))
             (folder.path / "carried.bin").write_bytes(b"")
             end(begin(path))
+            journal.close_all()
             shutil.copytree(path, work / BACKUP)
     add_answers(folder, range(ANSWERS // 2 + 1, ANSWERS + 1))
     record(folder)
     CalibrationPeaks.load(folder, "b0001").put()
     end(begin(path))
+    journal.close_all()
     return path
 
 
@@ -86,7 +88,7 @@ def add_answers(folder: CommissionFolder, numbers: range) -> None:
 def record(folder: CommissionFolder) -> None:
     """Two recordings of 10 s."""
     arm = SourceSettings(JOINTS, 1_000_000, ("N m",) * 2, "held")
-    sink = KeepSink(folder, arm, "script", 1e9)
+    sink = MotionRecorder(folder, arm, "script", 1e9)
     sink.open(JOINTS, None)
     motion = pushed(seconds=20.0, pushes=())
     for rows in (slice(0, 10_000), slice(10_000, 20_000)):
@@ -247,7 +249,7 @@ def outcome(prepared: Path, work: Path, names: tuple[str, ...], fault: str, when
 
     printed: list[str] = []
     confirmed = {k: "touched" if k % 2 else "nothing" for k in range(1, ANSWERS + 1)}
-    journal._seen.clear()
+    journal.close_all()
     with alone():
         if when == "start":
             damage()
@@ -279,7 +281,7 @@ def outcome(prepared: Path, work: Path, names: tuple[str, ...], fault: str, when
                     found.traceback = "".join(traceback.format_exception(error))
             failed = [line for line in one.lines if "a task beside the monitor failed" in line]
             found.traceback = found.traceback or "".join(line for line in failed if "Error" in line)
-            journal._seen.clear()
+            journal.close_all()
     found.is_monitored = monitored and not found.refused
     found.lines = tuple(line for line in dict.fromkeys(printed) if is_news(line))
     labels: dict[int, str] = {}

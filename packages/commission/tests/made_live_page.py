@@ -18,9 +18,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from tauext_commission import journal
 
 from tauext.data.labels import Label
-from tauext.files import journal
 
 STATES = ("connecting", "learning", "monitoring", "alarm", "answered", "unanswered", "question", "silent", "lost",
           "partly", "blind")  # fmt: skip

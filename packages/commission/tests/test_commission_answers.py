@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections import deque
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from types import SimpleNamespace
@@ -21,21 +20,20 @@ from made_bundles import JOINTS, pushed, watching_bundle
 from made_commission import words
 from made_live import ScriptedSource, samples_of
 from tauext_commission.answers import AlarmJournal, CurrentLoop
+from tauext_commission.exchange import Exchanged
 from tauext_commission.folder import CommissionFolder
+from tauext_commission.history_file import read_events, read_labels
 from tauext_commission.live import MOST_READERS, PAST_EVERY, Curves, LiveSink
-from tauext_commission.motion_recorder import KeepSink
+from tauext_commission.motion_recorder import MotionRecorder
 from tauext_commission.processes import Child
 from tauext_commission.promises import put_suspects
 from tauext_commission.run import AGAIN_S, Commission
 
 from tauext.bundle.estimates import CONTACT, OK, STALE, rounded
-from tauext.bundle.history_file import read_events
-from tauext.data.labels import Label, read_labels
 from tauext.errors import ConfigError
 from tauext.monitor.changes import AlarmChange
 from tauext.monitor.control_lines import obey
 from tauext.monitor.episode import Episode, EpisodeFinder
-from tauext.monitor.exchange import Exchanged
 from tauext.monitor.flight_files import FlightNews
 from tauext.monitor.loop import Loop
 from tauext.monitor.record_sink import RecordCount
@@ -65,7 +63,7 @@ class Arm:
         settings = settings_of(self.bundle)
         samples = samples_of(recording or pushed())
         source = ScriptedSource([*samples[:pause], self.go_on.is_set, *samples[pause:]])
-        self.record = KeepSink(self.folder, settings, "script", 1e9)
+        self.record = MotionRecorder(self.folder, settings, "script", 1e9)
         self.keeper = AlarmJournal(self.folder, lambda: self.record.epoch, self.notes.append)
         self.live = LiveSink(path / "live.sock")
         self.live.alarm = self.keeper.event
@@ -74,8 +72,8 @@ class Arm:
         self.loop.monitor.alarms = self.keeper.newest
         for sink in (self.keeper, self.live):
             sink.follow(self.bundle, self.loop.monitor)
-        self.steering = CurrentLoop(self.keeper, self.loop.stop)
-        self.steering.loop = self.loop
+        self.current_loop = CurrentLoop(self.keeper, self.loop.stop)
+        self.current_loop.loop = self.loop
         self._thread = threading.Thread(target=self.loop.run, daemon=True)
         self._thread.start()
         until(lambda: self.loop.samples == pause and self.keeper.unanswered, "the alarm")
@@ -120,12 +118,12 @@ def test_an_alarm_is_shown_asked_about_and_answered(tmp_path):
         assert collision.endswith("limit 2 Nm); answer: `touched 1` or `nothing 1`") and JOINTS[0] in collision
         assert shown["bundle"] == one.bundle.name and len(shown["tau_ext"]) == len(shown["q"]) == len(JOINTS)
         assert [label.answer for label in read_labels(one.folder.path)] == ["unanswered"]
-        assert obey("nothing 7", one.steering, "test") == "error: nothing: there is no alarm 7; the newest is 1"
-        assert obey("nothing", one.steering, "test") == "ok"  # and now it is on the disk
+        assert obey("nothing 7", one.current_loop, "test") == "error: nothing: there is no alarm 7; the newest is 1"
+        assert obey("nothing", one.current_loop, "test") == "ok"  # and now it is on the disk
         (label,) = read_labels(one.folder.path)
         assert (label.answer, label.by, label.id) == ("nothing", "test", 1)
         assert read_events(one.folder.path)[-1]["answer"] == "nothing" and one.keeper.unanswered is None
-        assert obey("touched 1", one.steering, "page") == "ok"  # a person may change it
+        assert obey("touched 1", one.current_loop, "page") == "ok"  # a person may change it
         assert [label.answer for label in read_labels(one.folder.path)] == ["touched"]
         assert one.keeper.event(1)["answer"] == "touched"
     (event,) = read_events(one.folder.path)
@@ -195,7 +193,7 @@ def test_only_suspects_with_evidence_are_called_touches(tmp_path):
 def test_an_answer_counts_for_a_touch_until_its_end(tmp_path):
     """Label, event and page agree: one alarm, answered, which ends with the touch."""
     with arm(tmp_path / "cell", pushed(pushes=((2.0, 0, 6.0),), length_s=2.0), 2500) as one:
-        assert obey("touched", one.steering, "page") == "ok"
+        assert obey("touched", one.current_loop, "page") == "ok"
         assert one.keeper.unanswered is None  # nobody is asked any more
         (shown,) = lines_of(one.live._path)
         assert shown["alarm"]["id"] == 1 and shown["alarm"]["answer"] == "touched"
@@ -209,35 +207,18 @@ def test_an_answer_counts_for_a_touch_until_its_end(tmp_path):
 
 def test_a_touch_without_an_alarm_is_a_label_of_its_own(tmp_path):
     with arm(tmp_path / "cell") as one:
-        assert obey("touched 1", one.steering, "a") == obey("touched", one.steering, "b") == "ok"
+        assert obey("touched 1", one.current_loop, "a") == obey("touched", one.current_loop, "b") == "ok"
         labels = {label.id: label for label in read_labels(one.folder.path)}
         assert labels[1].by == "a" and min(labels) < 0 and labels[min(labels)].by == "b"
         assert labels[min(labels)].to_ns - labels[min(labels)].from_ns == 3_000_000_000
-        assert obey("nothing", one.steering, "b") == "error: nothing: the newest alarm (1) has an answer"
+        assert obey("nothing", one.current_loop, "b") == "error: nothing: the newest alarm (1) has an answer"
 
         def refuse(yes, by):
             raise ConfigError(f"no change waits for {yes}")
 
         one.keeper.learn = refuse
         for line, yes in (("learn yes", True), ("learn no", False)):
-            assert obey(line, one.steering, "b") == f"error: no change waits for {yes}"
-
-
-def test_a_full_disk_confirms_nothing(tmp_path, monkeypatch):
-    with arm(tmp_path / "cell") as one:
-
-        def full(*_):
-            raise OSError(28, "No space left on device")
-
-        with monkeypatch.context() as patched:
-            patched.setattr(one.folder, "append_label", full)
-            assert obey("touched", one.steering, "test") == (
-                "error: touched: not stored: No space left on device; please answer again"
-            )
-        assert one.keeper.unanswered and not one.loop._answered  # the alarm stands, and is still asked about
-        assert [label.answer for label in read_labels(one.folder.path)] == ["unanswered"]
-        assert obey("touched", one.steering, "test") == "ok"
-    assert [label.answer for label in read_labels(one.folder.path)] == ["touched"]
+            assert obey(line, one.current_loop, "b") == f"error: no change waits for {yes}"
 
 
 def test_lost_recordings_are_shown_on_the_page(tmp_path):
@@ -245,7 +226,7 @@ def test_lost_recordings_are_shown_on_the_page(tmp_path):
     one._folder = CommissionFolder.open(tmp_path / "cell", create=True)
     one._live = SimpleNamespace(state="monitoring", message="", lost="", bundle="b0001")
     one._has_ended, one._lost = False, ""
-    one._loop, one._source, one._keeper = SimpleNamespace(samples=1), None, SimpleNamespace(unanswered=None)
+    one._loop, one._source, one._alarm_journal = SimpleNamespace(samples=1), None, SimpleNamespace(unanswered=None)
     one._record = SimpleNamespace(
         is_losing=True, count=RecordCount(error=f"{one._folder.path}/seg-000001.parquet: full")
     )
@@ -261,7 +242,7 @@ def test_a_source_that_comes_and_goes_prints_one_line_a_minute(tmp_path, monkeyp
     one._folder = CommissionFolder.open(tmp_path / "cell", create=True)
     one._live = SimpleNamespace(state="monitoring", message="", lost="", bundle="b0001")
     one._has_ended, one._record, one._lost = False, None, ""
-    one._loop, one._keeper = SimpleNamespace(samples=1), SimpleNamespace(unanswered=None)
+    one._loop, one._alarm_journal = SimpleNamespace(samples=1), SimpleNamespace(unanswered=None)
     now_s, lines = 0.0, []
     one._note, one._echo = lines.append, lines.append
     monkeypatch.setattr("tauext_commission.run.time", SimpleNamespace(monotonic=lambda: now_s))
@@ -271,16 +252,6 @@ def test_a_source_that_comes_and_goes_prints_one_line_a_minute(tmp_path, monkeyp
         assert one._live.lost == one._source.away  # the page shows each
     assert lines[:2] == ["NOTHING IS MONITORED: no sample for 2 s", "samples come again"]
     assert 16 <= len(lines) <= 20
-
-
-def test_an_answer_is_known_to_the_next_process(tmp_path):
-    folder = CommissionFolder.open(tmp_path / "cell", create=True)
-    folder.append_event({"id": 1, "epoch": 1, "t_ns": 1, "level": "collision", "answer": None})
-    folder.append_label(Label(1, 1, 1, 2, "nothing", "page", "", "b0001"))
-    keeper = AlarmJournal(folder, lambda: 1, print)
-    keeper.end()
-    assert keeper.event(1)["answer"] == "nothing" and keeper.unanswered is None
-    assert [one["answer"] for one in read_events(folder.path)] == ["nothing"]
 
 
 def test_a_flight_belongs_to_its_alarm_by_number(tmp_path):
@@ -313,41 +284,41 @@ def test_a_bundle_that_could_not_take_over_is_tried_again(tmp_path, monkeypatch)
     one, asked, lines = Commission.__new__(Commission), [], []
     one._folder = CommissionFolder.open(tmp_path / "cell", create=True)
     one._live, one._by, one._arm = SimpleNamespace(bundle="b0001"), "", {"period_ns": 10**6}
-    one._active, one._again_s, one._why_refused, one._exchanges = 0, math.inf, ("", ""), deque()
+    one._active, one._again_s, one._why_refused, one._exchanged = 0, math.inf, ("", ""), None
     one._echo = lines.append
-    loop = SimpleNamespace(exchange=lambda path, done: asked.append((path.stem, done)))
+    loop = SimpleNamespace(bring=lambda path, done: asked.append((path.stem, done)))
     for name in ("b0001", "b0002"):
         (one._folder.bundles / f"{name}.tauext").touch()
     one._folder.activate("b0002", "a test", 0.0)
     now_s = time.monotonic()
-    one._exchange(loop, now_s)
+    one._bring_bundle(loop, now_s)
     for tries in (1, 2, 3):
         assert [name for name, _ in asked] == ["b0002"] * tries
         asked[-1][1]("b0002 stays out: a contact lasts")
-        one._exchange(loop, now_s + 0.5 * AGAIN_S)
+        one._bring_bundle(loop, now_s + 0.5 * AGAIN_S)
         assert len(asked) == tries
-        one._exchange(loop, now_s + 1.1 * AGAIN_S)
+        one._bring_bundle(loop, now_s + 1.1 * AGAIN_S)
     assert lines == ["b0002 does not take over: b0002 stays out: a contact lasts"]
     asked[-1][1]("")
     one._live.bundle = "b0002"
-    one._exchanges.append(Exchanged("b0002", "b0001", 1, 1, 1000, b"", b"", 0, 5.0))
+    one._exchanged = Exchanged("b0002", "b0001", 1, 1, 1000, b"", b"", 0, 5.0)
     with monkeypatch.context() as full:
         full.setattr(CommissionFolder, "save", lambda *_, **__: (_ for _ in ()).throw(OSError(28, "full")))
         with pytest.raises(OSError, match="full"):
-            one._exchange(loop, now_s)
-    one._exchange(loop, now_s + 5 * AGAIN_S)
+            one._bring_bundle(loop, now_s)
+    one._bring_bundle(loop, now_s + 5 * AGAIN_S)
     assert len(asked) == 4 and [line["kind"] for line in one._folder.history()] == ["activation", "exchange"]
 
 
 def test_the_next_process_counts_on_and_knows_the_answers(tmp_path):
     with arm(tmp_path / "cell") as one:
-        assert obey("touched 1", one.steering, "test") == "ok"
+        assert obey("touched 1", one.current_loop, "test") == "ok"
     before = one.keeper.newest
     with arm(tmp_path / "cell") as one:
         assert one.loop.alarms == one.keeper.newest == before + 1
         assert one.keeper.event(1)["answer"] == "touched"
-        assert obey("nothing 1", one.steering, "page") == "ok"  # of an earlier run
-        assert obey("nothing", one.steering, "page") == "ok"  # of the alarm that stands
+        assert obey("nothing 1", one.current_loop, "page") == "ok"  # of an earlier run
+        assert obey("nothing", one.current_loop, "page") == "ok"  # of the alarm that stands
     labels = {label.id: label for label in read_labels(one.folder.path)}
     assert labels[1].answer == labels[before + 1].answer == "nothing"
     assert (labels[1].epoch, labels[before + 1].epoch) == (1, 2)
@@ -397,12 +368,12 @@ def test_a_reader_that_takes_no_line_is_closed(tmp_path, monkeypatch):
 def test_control_is_refused_while_no_arm_is_connected(tmp_path):
     stopped: list[str] = []
     keeper = AlarmJournal(CommissionFolder(tmp_path), lambda: 0, print)
-    steering = CurrentLoop(keeper, stopped.append)
+    current_loop = CurrentLoop(keeper, stopped.append)
     for line in ("touched", "nothing 1", "learn yes", "acknowledge", "sim push"):
-        assert obey(line, steering, "test").startswith("error: "), line
+        assert obey(line, current_loop, "test").startswith("error: "), line
     with pytest.raises(ConfigError, match="no arm is connected"):
-        steering.acknowledge("test")
-    assert obey("stop", steering, "test") == "ok" and stopped == ["test"]  # the command, which is still connecting
+        current_loop.acknowledge("test")
+    assert obey("stop", current_loop, "test") == "ok" and stopped == ["test"]  # the command, which is still connecting
     keeper.end()
 
 

@@ -17,12 +17,12 @@ from made_bundles import pushed, watching_bundle
 from tauext_commission.command import answer, keys
 from tauext_commission.connect import as_data
 from tauext_commission.folder import CommissionFolder
+from tauext_commission.history_file import read_events, read_labels
 from tauext_commission.run import TEND_S, Options, run
 from tauext_lab.sim.source import KINDS, write_robot_file
 
-from tauext.bundle.history_file import read_events
 from tauext.cli import main
-from tauext.data.labels import Label, read_labels
+from tauext.data.labels import Label
 from tauext.data.recording_file import save_recording
 from tauext.errors import AwayError, ConfigError, RobotError
 from tauext.monitor.control_lines import obey
@@ -153,13 +153,6 @@ def test_an_arm_that_is_away_is_tried_again_and_one_that_does_not_fit_is_not(las
     ]
     with CommissionFolder.open(tmp_path / "cell", create=True).locked():  # the same command takes the folder
         assert not (tmp_path / "cell" / "arm.toml").exists()
-
-
-def test_a_folder_of_something_else_is_refused(tmp_path, capsys):
-    (tmp_path / "thesis.tex").touch()
-    assert main(["commission", "--source", "sim:rig", "--out", str(tmp_path), "--no-page"]) == 2
-    assert "is not empty and no folder of `tauext commission`" in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
 @pytest.mark.slow

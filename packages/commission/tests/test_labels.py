@@ -9,14 +9,15 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 from made_commission import forge
+from tauext_commission import journal, synced_file
+from tauext_commission.history_file import KIND, read_labels
+from tauext_commission.synced_file import RESERVE, RESERVED, reserve, write_synced
 
 from tauext.check.before_training import check_calibration
 from tauext.data.free_motion import free_pieces, free_samples
-from tauext.data.labels import KIND, Label, labels_key, overlay, read_labels
+from tauext.data.labels import Label, labels_key, overlay
 from tauext.data.recording import Recording
 from tauext.data.recording_file import describe, load_recording, save_recording
-from tauext.files import journal, synced_file
-from tauext.files.synced_file import RESERVE, RESERVED, reserve, write_synced
 from tauext.progress import SILENT
 
 SECOND = 1_000_000_000
@@ -78,7 +79,6 @@ def test_a_recording_within_one_unanswered_alarm_is_not_free():
 
 
 def test_margins_reach_into_the_next_file(tmp_path):
-    (tmp_path / journal.NAME).touch()
     first, second = segment(tmp_path, 0, 10), segment(tmp_path, 10, 20, name="seg-000002")
     append_label(tmp_path, label(1, 9.0, 9.95, "touched"))
     free = [free_samples(load_recording(path)) for path in (first, second)]
@@ -104,16 +104,12 @@ def test_the_last_label_of_an_id_counts_and_damaged_lines_do_not(tmp_path):
     append_label(tmp_path, label(1, 2, 3, "touched"))
     append_label(tmp_path, label(2, 4, 5, "withdrawn"))
     append_label(tmp_path, label(1, 2, 3, "withdrawn"))  # an answer that came meanwhile stays
-    with (tmp_path / journal.NAME).open("ab") as file:  # the process was killed here
-        file.write(b'{"crc32": "00000000", "id": 3, "epo')
     assert [one.answer for one in read_labels(tmp_path)] == ["touched"]
     append_label(tmp_path, label(4, 6, 7, "nothing"))
     for damaged in ({"id": "x"}, asdict(label(1, 2, 3, "touched")) | {"answer": "maybe"}):
         with pytest.raises(OSError, match="the journal takes no such line: 'label': its "):
             journal.append(tmp_path, KIND, damaged)
         forge(tmp_path, KIND, damaged)
-    with (tmp_path / journal.NAME).open("ab") as file:
-        file.write(b"[1]\n\xff\xfe\n")
     assert [one.id for one in read_labels(tmp_path)] == [1, 4]
 
 
@@ -122,14 +118,13 @@ def test_a_full_disk_releases_the_reserve(tmp_path, monkeypatch):
     reserve(tmp_path)
     assert (tmp_path / RESERVE).stat().st_size >= 1 << 20
 
-    def full(file: int, line: bytes, real=synced_file.write_all) -> None:
-        if (tmp_path / RESERVE).exists():
-            os.write(file, line[:5])
-            raise OSError(errno.ENOSPC, "No space left on device")
-        real(file, line)
+    def full(one, rows, removed=(), real=journal._insert) -> None:
+        pages = one.database.execute("PRAGMA page_count").fetchone()[0]
+        one.database.execute(f"PRAGMA max_page_count = {pages if (tmp_path / RESERVE).exists() else 1 << 30}")
+        real(one, rows, removed)
 
-    monkeypatch.setattr(journal, "write_all", full)
-    journal.append(tmp_path, "a", {"id": 2})
+    monkeypatch.setattr(journal, "_insert", full)
+    journal.append(tmp_path, "a", {"id": 2, "words": "x" * 9000})
     assert [one["id"] for one in journal.read(tmp_path).lines] == [1, 2]
     assert (tmp_path / RESERVE).stat().st_size == RESERVED  # what is left of it is reserved again
 
@@ -154,7 +149,7 @@ def test_a_full_disk_releases_the_reserve_for_a_small_file_and_a_partial_reserve
 
 def test_a_new_label_changes_the_keys_of_cached_results(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    (tmp_path / journal.NAME).touch()
+    append_label(tmp_path, label(9, 2, 3, "withdrawn"))
     path, seen = segment(tmp_path, 0, 30), []
     monkeypatch.setattr(
         "tauext.check.before_training.quick_checks", lambda one, limits: seen.append(one.contact.max()) or []

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from made_live_page import JOINTS, FakeLoop, line, serving, write_folder
+from tauext_commission import journal
 from tauext_commission.page import connections, live_server
 from tauext_commission.page.access import is_own_name, listening_socket
 from tauext_commission.page.live_arm import arm_facts
@@ -22,7 +23,6 @@ from websockets.sync.client import connect
 
 from tauext.data.labels import Label
 from tauext.errors import ConfigError
-from tauext.files import journal
 
 PATIENCE_S = 20.0
 TOKEN = "right-token"
@@ -96,8 +96,6 @@ def test_the_state_is_the_folders_files_and_follows_them(tmp_path):
         assert state["name"] == "cell7" and state["active"] == {"bundle": "b0004"}
         assert [one["id"] for one in state["events"]] == [15, 16] and len(state["history"]) == 10
         journal.append(tmp_path / "cell7", "label", asdict(Label(16, 1, 1, 2, "nothing", "page", "")))
-        with (tmp_path / "cell7" / "journal.jsonl").open("a") as file:
-            file.write('{"crc32": "00000000", "number": 17, "sent')  # a line that is cut off by a kill
         (tmp_path / "cell7" / "coverage.json").write_text('{"secon')
         state = json.loads(get(port, "/state")[1])
         assert state["events"][-1]["answer"] == "nothing" and state["events"][-1]["sentence"]

@@ -12,11 +12,11 @@ from made_live import Clock, Keeper, ScriptedSource, samples_of
 from tauext_commission.connect import held_rate
 from tauext_commission.folder import CommissionFolder
 from tauext_commission.history import Kept, describe_folder, kept_of
-from tauext_commission.motion_recorder import KeepSink
+from tauext_commission.history_file import monitored_of
+from tauext_commission.motion_recorder import MotionRecorder
 
 from tauext import _core
 from tauext.bundle.estimates import OK
-from tauext.bundle.history_file import monitored_of
 from tauext.data.labels import Label
 from tauext.monitor.control_lines import ControlSocket
 from tauext.monitor.latency import how_to_hold_the_rate
@@ -140,7 +140,7 @@ def test_the_promise_counts_monitored_hours_only_also_after_a_restart(tmp_path):
     folder.note("exchange", 0.0, "b0001 monitors", bundle="b0001")
     arm = settings_of(watching_bundle())
     for _ in range(2):
-        sink = KeepSink(folder, arm, "script", 1e9, lambda: "b0001")
+        sink = MotionRecorder(folder, arm, "script", 1e9, lambda: "b0001")
         sink.open(arm.joints, None)
         sink.every_second(report(900.0 * 0.4, 900.0))
         sink.every_second(report(1800.0 * 0.9, 1800.0, 0.905))

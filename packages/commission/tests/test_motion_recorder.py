@@ -11,18 +11,25 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from tauext_commission import folder as folder_module
-from tauext_commission import motion_recorder
+from tauext_commission import journal, motion_recorder
 from tauext_commission.answers import AlarmJournal
 from tauext_commission.folder import CommissionFolder, Segment, split_of
-from tauext_commission.motion_recorder import Coverage, KeepSink, learned_up_to, repaired, set_of, to_drop, trim_flights
+from tauext_commission.history_file import watches
+from tauext_commission.motion_recorder import (
+    Coverage,
+    MotionRecorder,
+    learned_up_to,
+    repaired,
+    set_of,
+    to_drop,
+    trim_flights,
+)
 
 from tauext.bundle.estimates import COLLISION
-from tauext.bundle.history_file import watches
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import free_pieces
 from tauext.data.labels import Label
 from tauext.errors import ConfigError
-from tauext.files import journal
 from tauext.monitor.changes import ChangeFinder
 from tauext.monitor.episode import EpisodeFinder
 from tauext.monitor.sink import Verdict
@@ -56,7 +63,7 @@ class Script:
 
     def __init__(self, folder: Path, budget: float = 1e9, start_ns: int = 0):
         self.folder = CommissionFolder.open(folder, create=True)
-        self.sink = KeepSink(self.folder, ARM, "test", budget, lambda: "b0001")
+        self.sink = MotionRecorder(self.folder, ARM, "test", budget, lambda: "b0001")
         self.sink.worker.patient = True
         self.notes: list[str] = []
         self.keeper = AlarmJournal(self.folder, lambda: self.sink.epoch, self.notes.append)
@@ -448,20 +455,6 @@ def test_flights_of_faults_do_not_crowd_out_collisions(tmp_path):
     assert [kept(most) for most in (9000, 8000, 6000, 4500, 3000, 2000, 1)] == [
         "012345678", "01245678", "012478", "0478", "048", "48", "8"
     ]  # fmt: skip
-
-
-def test_a_folder_of_something_else_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="no folder of `tauext commission`"):
-        CommissionFolder.open(tmp_path / "none")
-    (tmp_path / "notes.txt").touch()
-    with pytest.raises(ConfigError, match="not empty"):
-        CommissionFolder.open(tmp_path, create=True)
-    folder = CommissionFolder.open(tmp_path / "cell", create=True)
-    with folder.locked(), pytest.raises(ConfigError, match="another"), folder.locked():
-        pass
-    (folder.path / "commission.json").write_text('{"format": 9}')
-    with pytest.raises(ConfigError, match="format 9"):
-        CommissionFolder.open(folder.path)
 
 
 def test_what_was_learned_is_dropped_first():

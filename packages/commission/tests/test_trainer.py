@@ -20,6 +20,7 @@ from tauext_commission.arm_change import named_steps
 from tauext_commission.connect import HELD, Remark, as_entries
 from tauext_commission.folder import CommissionFolder
 from tauext_commission.history import describe_folder, kept_of
+from tauext_commission.history_file import active_bundle, read_findings, read_history, read_labels
 from tauext_commission.promises import CalibrationPeaks
 from tauext_commission.trainer import Trainer, why_not, why_worse
 from tauext_lab.sim.collect import simulate_recording
@@ -28,12 +29,11 @@ from tauext_lab.sim.config import RigConfig, changed_friction
 from tauext import _core
 from tauext._core import CoreError
 from tauext.bundle.bundle_file import load_bundle
-from tauext.bundle.history_file import active_bundle, read_findings, read_history
 from tauext.cli import main
 from tauext.config import PAPER_CASES
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import cut
-from tauext.data.labels import Label, read_labels
+from tauext.data.labels import Label
 from tauext.errors import ConfigError, FaultyDataError
 from tauext.train.preparation import TrainingInput
 
@@ -93,8 +93,6 @@ def test_the_first_bundle_monitors_after_two_minutes_without_the_touch(learned):
 def test_a_killed_training_process_goes_on(copy):
     """Whatever was written last: what nothing names is removed, an activation has its line, progress is none."""
     copy.bundles.joinpath("b0007.tauext").write_bytes(b"half")
-    with (copy.path / "journal.jsonl").open("a") as file:
-        file.write('{"crc32": "00000000", "number": 99, "kind": "activ')
     copy.progress_file.write_text('{"doing": "training b0007"}')
     one = Trainer(copy)
     assert not list(copy.bundles.glob("b0007*")) and copy.next_bundle().stem == "b0002"
@@ -480,7 +478,7 @@ def judged(false: int, seen: int, promised: float = 3.0, kept: bool = True, reje
         name="old",
         free_motion=SimpleNamespace(hours=1.0, false_collisions=false, promise_kept=kept, promised_per_hour=promised),
         rejected=SimpleNamespace(share=rejected, causes={"clock": rejected}),
-        injected=SimpleNamespace(curves=[SimpleNamespace(events=100, latched=seen)]),
+        forces=SimpleNamespace(added=SimpleNamespace(curves=[SimpleNamespace(events=100, latched=seen)])),
     )
 
 

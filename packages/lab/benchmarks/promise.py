@@ -160,8 +160,8 @@ def judged(folder: Path) -> dict:
     later = evaluate({"promised": bundle}, of("later"), [], kept, 0, 2, keep_free_estimates=0).bundles[0].free_motion
     one = evaluate(bundles, of("test"), of("hits"), kept, 0, 2, keep_free_estimates=0, inject=True).bundles[1]
     shutil.rmtree(kept, ignore_errors=True)
-    assert one.latched is not None and one.injected is not None
-    curves = one.injected.curves
+    assert one.latched is not None and one.forces.added is not None
+    curves = one.forces.added.curves
     of_links = [[curve for curve in curves if curve.place == place] for place in {curve.place for curve in curves}]
     return {
         "promised_per_hour": promised_per_hour(limits),

@@ -7,8 +7,14 @@ A package of its own, found by its entry points. In Python: `evaluate_bundles` m
 from __future__ import annotations
 
 import importlib
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tauext.cli.commands import Command
+from tauext.monitor.sink_kind import SinkKind, Watched
+
+if TYPE_CHECKING:
+    from tauext_lab.mcap.sink import McapSink
 
 SIMULATE = Command("make a dataset of the paper's two-axis rig", "tauext_lab.commands:simulate", title="Recordings")
 EVALUATE = Command(
@@ -23,6 +29,21 @@ REPRODUCE = Command(
     title="Results",
 )
 """The commands, found by their entry points."""
+
+
+def open_mcap(path: Path, watched: Watched) -> McapSink:
+    """See SinkKind.open."""
+    from tauext_lab.mcap.sink import McapSink
+
+    return McapSink(path, watched.bundle, watched.source, watched.wrench, patient=not watched.is_live)
+
+
+MCAP = SinkKind(
+    open_mcap,
+    "file (*.mcap) for samples, estimates, forces and events, which Foxglove, Rerun and PlotJuggler open. A killed "
+    "process leaves a file that they can recover. None: none is written.",
+)
+"""The sink of --mcap, found by its entry point."""
 
 _WHERE = {"evaluate_bundles": "evaluate.results_folder", "write_report": "report.page", "load_network": "own_network"}
 

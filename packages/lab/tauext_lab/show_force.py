@@ -53,7 +53,7 @@ def describe_force(file: Path, data: Sequence[Path], frames: Sequence[str]) -> t
     points(bundle, frames)  # refuses before hours of recordings are read
     if data:
         found = over_recordings(bundle, data, frames)
-        of = f"of {', '.join(place.name for place in data)}, with the limits as they held there"
+        of = f"of {', '.join(path.name for path in data)}, with the limits as they held there"
     else:
         found = noticed_in_usual_motion(bundle, frames)
         of = (
@@ -71,10 +71,10 @@ def over_recordings(bundle: Bundle, data: Sequence[Path], frames: Sequence[str])
     from tauext_lab.evaluate.free_motion import LimitsHeld
 
     held = LimitsHeld()
-    for place in data:
-        if not place.is_file():
-            raise ConfigError(f"{place}: there is no such recording; --data takes recordings (*.parquet)")
-        recording = load_recording(place)
+    for path in data:
+        if not path.is_file():
+            raise ConfigError(f"{path}: there is no such recording; --data takes recordings (*.parquet)")
+        recording = load_recording(path)
         estimates = estimate_recording(bundle, recording)
         held.add(recording, free_part(recording, estimates))
     found = held.summary(bundle, frames)

@@ -12,8 +12,8 @@ import pytest
 from made_bundles import LIMIT_NM, TOOL_M, planar_tool_bundle, pushed, watching_bundle
 from tauext_lab.evaluate.comparison import evaluate
 from tauext_lab.evaluate.injected import SHAPES, Injection, curve, profile
-from tauext_lab.evaluate.results import results_of, to_json
-from tauext_lab.report.force_figures import draw_injected, injected_table, injected_words
+from tauext_lab.evaluate.results import DetectedForces, results_of, to_json
+from tauext_lab.report.force_figures import draw_injected, forces_table, injected_words
 
 from tauext.cli import main
 from tauext.data.dataset import Split, save_split
@@ -69,7 +69,7 @@ def test_torques_on_single_joints_are_detected_from_the_limit_on(tmp_path):
     found = evaluate({"watching": bundle}, [lambda: recording], [], tmp_path, 0, 1, inject=True)
     written = json.loads(json.dumps(to_json(found)))
     assert to_json(results_of(written, "results.json")) == written  # every key has its field, every field its key
-    injected = found.bundles[0].injected
+    injected = found.bundles[0].forces.added
     assert injected.without_forces and injected.unit == "Nm" and injected.unhealthy == 0
     shown = 1 - math.exp(-0.9 * bundle.observer.gain_per_s)
     curves = {(one.place, one.shape): one for one in injected.curves}
@@ -80,7 +80,7 @@ def test_torques_on_single_joints_are_detected_from_the_limit_on(tmp_path):
             assert LIMIT_NM / shown <= one.nine_of_ten <= 2.2 * LIMIT_NM
             assert one.bins[-1].latched == one.bins[-1].events
     assert "press" in injected_words(injected)
-    shown_one = SimpleNamespace(name="a", label="watching", injected=injected)
+    shown_one = SimpleNamespace(name="a", label="watching", forces=DetectedForces(None, injected))
     panels = draw_injected([shown_one], shown_one).figure.axes
     assert [axes.get_title() for axes in panels[: len(SHAPES)]] == [*SHAPES]
     press = injected.at(injected.place)[list(SHAPES).index("press")]
@@ -88,7 +88,7 @@ def test_torques_on_single_joints_are_detected_from_the_limit_on(tmp_path):
         panels[list(SHAPES).index("press")].lines[0].get_ydata(),
         [100 * one.latched / one.events for one in press.bins if one.events],
     )
-    table = injected_table([shown_one], shown_one)
+    table = forces_table([shown_one], shown_one)
     assert table is not None and [row.cells[1] for row in table.rows] == ["joint shoulder", "joint elbow"]
 
 
@@ -96,7 +96,8 @@ def test_a_short_hit_needs_more_than_a_long_one_by_the_observers_share_of_it(tmp
     recording = pushed(seconds=120.0, pushes=())
     bundle = watching_bundle(network=False)
     bundle.hold_s = 0.0
-    curves = evaluate({"a": bundle}, [lambda: recording], [], tmp_path, 0, 1, inject=True).bundles[0].injected.curves
+    found = evaluate({"a": bundle}, [lambda: recording], [], tmp_path, 0, 1, inject=True)
+    curves = found.bundles[0].forces.added.curves
     needed = {(one.place, one.shape): one.nine_of_ten or math.inf for one in curves}
     for place in {place for place, _ in needed}:
         assert needed[place, "hit of 20 ms"] > needed[place, "hit of 60 ms"] > needed[place, "hit of 200 ms"]

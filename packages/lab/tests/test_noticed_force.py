@@ -188,7 +188,7 @@ def test_a_force_that_stays_is_reported_when_the_observer_shows_it(arm_bundle):
 def test_an_evaluation_holds_it_over_its_test_recordings_or_says_why_not(arm_bundle, tmp_path):
     bundles = {"planar": arm_bundle, "none": with_error_scale(watching_bundle())}
     made = pushed(pushes=(), seconds=8.0)
-    found, refused = (one.noticed_force for one in evaluate(bundles, [lambda: made], [], tmp_path, 0, 1).bundles)
+    found, refused = (one.forces.lasting for one in evaluate(bundles, [lambda: made], [], tmp_path, 0, 1).bundles)
     assert 6 <= found.poses <= 8 and set(found.limits) == {"collision", "contact"}
     assert refused == NoticedForce(_core.WrenchModel(bundles["none"]).refused)
     kept_ = load_estimates(tmp_path / "planar" / "pushed.parquet")

@@ -30,7 +30,7 @@ from tauext_lab.report.error_figures import (
     draw_training_loss,
     sigma_table,
 )
-from tauext_lab.report.force_figures import MOST_N, draw_noticed_force, joined, noticed_table
+from tauext_lab.report.force_figures import MOST_N, draw_noticed_force, forces_table, joined
 from tauext_lab.report.page import PageFigure, render_page, tile, write_report
 from tauext_lab.report.signals import NotAvailable, Signals, expect_same_dataset
 from tauext_lab.report.style import (
@@ -786,45 +786,45 @@ def put_noticed(results, contact_times: float = 1.0) -> None:
     """Into every bundle of results that are there."""
     limits = {"collision": [noticed_entry()], "contact": [noticed_entry(contact_times)]}
     noticed = {"poses": 256, "limits": limits, "gain_per_s": 20.0, "error_share": 0.2}
-    change(results, lambda content: [one.update(noticed_force=noticed) for one in content["bundles"]])
+    change(results, lambda content: [one.update(forces={"lasting": noticed}) for one in content["bundles"]])
 
 
-def test_the_page_says_what_force_is_noticed_with_a_table_and_a_figure(made, noticing, written):
-    assert "What force is noticed" not in words_of(page_of(made[0]))
+def test_the_page_has_the_forces_that_are_detected_as_a_table_and_a_figure(made, noticing, written):
+    assert "What force is detected" not in words_of(page_of(made[0]))
     words = words_of(written[1].read_text())
-    assert "What force is noticed" in words
+    assert "What force is detected" in words
     assert "1.3 times these on" in words and "K0 = 20 1/s" in words and "ISO/TS 15066" in words
-    noticed = load_results(noticing[0]).bundles[0].noticed_force
-    table = noticed_table(noticed)
-    row = ("collision", "link of joint1", "14", "55", "12", "40", "9.0", "17", "31", "blind", "blind")
-    assert table.rows[0].cells == (*row, "blind", "100")
+    results = load_results(noticing[0])
+    table = forces_table(results.bundles, results.bundles[0])
+    assert table.rows[0].cells == ("collision", "link of joint1", "14", "55", "blind", "blind", "100")
     assert [one.cells[0] for one in table.rows] == ["collision", "contact"]
-    lines = draw_noticed_force(noticed).figure.axes[0].get_lines()
+    lines = draw_noticed_force(results.bundles[0].forces.lasting).figure.axes[0].get_lines()
     assert [line.get_xdata().tolist() for line in lines[:2]] == [[14, 55], [14]]
     assert lines[2].get_xdata()[0] > MOST_N  # blind stands beyond every number
 
 
 def test_limits_that_notice_the_same_stand_once(copied):
     put_noticed(copied[0])
-    table = noticed_table(load_results(copied[0]).bundles[0].noticed_force)
-    assert [row.cells[0] for row in table.rows] == ["collision and contact"]
+    results = load_results(copied[0])
+    assert [row.cells[0] for row in forces_table(results.bundles, results.bundles[0]).rows] == ["collision and contact"]
     alike = {"collision while sliding": 1, "collision near stiction": 2, "contact while sliding": 1}
     assert joined(alike) == {"collision and contact while sliding": 1, "collision near stiction": 2}
 
 
-def test_a_bundle_that_tells_no_force_says_why(copied):
+def test_a_bundle_without_forces_has_the_reason(copied):
     why = "the bundle has no error scale"
-    change(copied[0], lambda content: [one.update(noticed_force={"refused": why}) for one in content["bundles"]])
+    refused = {"lasting": {"refused": why}}
+    change(copied[0], lambda content: [one.update(forces=refused) for one in content["bundles"]])
     assert why in words_of(page_of(copied[0]))
     with pytest.raises(NotAvailable, match=why):
-        draw_noticed_force(load_results(copied[0]).bundles[0].noticed_force)
+        draw_noticed_force(load_results(copied[0]).bundles[0].forces.lasting)
 
 
 def test_forces_that_are_no_numbers_are_refused_with_their_place(copied):
     put_noticed(copied[0])
 
     def spoil(content: dict) -> None:
-        content["bundles"][0]["noticed_force"]["limits"]["contact"][0]["x"].pop("blind_share")
+        content["bundles"][0]["forces"]["lasting"]["limits"]["contact"][0]["x"].pop("blind_share")
 
     change(copied[0], spoil)
     with pytest.raises(ConfigError, match=r"contact\[0\], x: 'blind_share'"):

@@ -271,15 +271,6 @@ def test_velocity_setpoint_is_the_derivative_of_the_position_setpoint():
     np.testing.assert_allclose(np.gradient(q_des, 1e-3, axis=0)[1:-1], dq_des[1:-1], atol=1e-4)
 
 
-@pytest.mark.parametrize("samples", [1, 2, 7, 1000])
-def test_low_pass_is_its_recursion(samples):
-    x = np.random.default_rng(0).normal(size=(samples, 2))
-    a, expected = np.exp(-20.0 * 1e-3), x[0]
-    for k, row in enumerate(low_pass(x, 20.0, 1e-3)):
-        expected = a * expected + (1.0 - a) * x[k]
-        np.testing.assert_allclose(row, expected, atol=1e-12)
-
-
 def test_low_pass_answers_a_step_with_its_time_constant():
     step = np.concatenate([[0.0], np.ones(500)])
     np.testing.assert_allclose(low_pass(step, 20.0, 1e-3), 1.0 - np.exp(-0.02 * np.arange(501)), atol=1e-12)

@@ -143,7 +143,7 @@ def number(value: float | None) -> str:
 
 
 LABELS = ("force.x", "force.y", "force.z", "torque.x", "torque.y", "torque.z")
-"""Of the rows and columns of a covariance; that of a force alone has the first three."""
+"""Labels of the rows and columns of a covariance; that of a force alone has the first three."""
 
 
 class Wrenches:

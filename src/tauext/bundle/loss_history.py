@@ -11,8 +11,6 @@ from tauext import _core
 from tauext.errors import ConfigError
 from tauext.files.plain_file import json_of, read_text
 
-MOST_ENTRIES = 200
-
 LossHistory = list[list[float]]
 """[step, training loss, validation loss], by step."""
 
@@ -65,7 +63,7 @@ def check_history(history: Any) -> LossHistory:
     return history
 
 
-def thin(history: LossHistory, most: int = MOST_ENTRIES) -> LossHistory:
+def thin(history: LossHistory, most: int = 200) -> LossHistory:
     """At most so many entries: the first, the last, the lowest validation loss, and the closer the earlier.
 
     The loss falls fastest at the beginning, and is drawn over the logarithm of the steps.

@@ -35,7 +35,7 @@ def left_out(bundle: Bundle) -> tuple[str, ...]:
 
 
 def not_in_newtons(joints: Sequence[str], units: Sequence[str]) -> tuple[str, ...]:
-    """Of these joints, those whose answers are in none of N m, N and W."""
+    """Joints whose answers are in none of N m, N and W."""
     return tuple(joint for joint, unit in zip(joints, units, strict=True) if unit not in ("N m", "N", "W"))
 
 
@@ -58,17 +58,6 @@ def largest_share(bundle: Bundle) -> float:
 
 # --- How sure a bundle with an error scale is, in typical motions, for `tauext show`.
 
-
-SPEED_RAD_S = 0.5
-"""Of a joint that slides ..."""
-SPEEDING_UP_RAD_S2 = 2.0
-"""... and of one that speeds up, or stops."""
-SOON_S = 0.05
-"""After a stop, or since it began to speed up."""
-CREEPING_RAD_S = 0.01
-"""Where the bundle's near-stiction speed is not above it, half of that."""
-BEFORE_S = 3.0
-"""The motion before goes on for so long, so that all filters have settled."""
 
 Situation = dict[str, dict[str, float]]
 """`limit` and `standard error` of each joint, in its estimate unit."""
@@ -96,20 +85,23 @@ def situations(bundle: _core.Bundle) -> dict[str, Situation]:
 
 
 def motions(bundle: _core.Bundle) -> dict[str, tuple[list[float], bool]]:
-    """Speeds of each motion, a sample period apart, [rad/s], and whether it ends near stiction."""
+    """Speeds of each motion, a sample period apart, [rad/s], and whether it ends near stiction.
+
+    The motion before goes on for 3 s, so that all filters have settled; a stop or a change of speed is 50 ms old.
+    """
     period_s = 1e-9 * bundle.observer.sample_period_ns
-    before, soon = (max(1, round(length_s / period_s)) for length_s in (BEFORE_S, SOON_S))
-    edge = bundle.near_stiction_rad_s
-    creeping = CREEPING_RAD_S if CREEPING_RAD_S < edge or edge == 0 else edge / 2
-    sliding, change = [SPEED_RAD_S] * before, SPEEDING_UP_RAD_S2 * period_s
-    faster = [SPEED_RAD_S + change * k for k in range(1, soon + 1)]
-    braking = [SPEED_RAD_S - change * k for k in range(math.ceil(SPEED_RAD_S / change))]
+    before, soon = (max(1, round(length_s / period_s)) for length_s in (3.0, 0.05))
+    speed, speeding_up, edge = 0.5, 2.0, bundle.near_stiction_rad_s  # [rad/s], [rad/s2]
+    creeping = 0.01 if 0.01 < edge or edge == 0 else edge / 2
+    sliding, change = [speed] * before, speeding_up * period_s
+    faster = [speed + change * k for k in range(1, soon + 1)]
+    braking = [speed - change * k for k in range(math.ceil(speed / change))]
     return {
         "standing": ([0.0] * before, True),
         "just after it stopped": (sliding + braking + [0.0] * soon, True),
         f"creeping at {creeping:g} rad/s": ([creeping] * before, True),
-        f"sliding steadily at {SPEED_RAD_S:g} rad/s": (sliding, False),
-        f"speeding up by {SPEEDING_UP_RAD_S2:g} rad/s2": (sliding + faster, False),
+        f"sliding steadily at {speed:g} rad/s": (sliding, False),
+        f"speeding up by {speeding_up:g} rad/s2": (sliding + faster, False),
     }
 
 

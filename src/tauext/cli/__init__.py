@@ -127,7 +127,8 @@ def understood(command: Callable[..., Any], prog: str, arguments: Sequence[str])
     except SystemExit as stop:
         if not stop.code:
             raise
-        missing = (plugins.how_to_add(word.partition(":")[0]) for word in arguments)  # its options are missing, too
+        names = (re.split("[:.=]", word.removeprefix("--"))[0] for word in arguments)
+        missing = (plugins.how_to_add(name.replace("_", "-")) for name in names)  # its options are missing, too
         added = next(filter(None, missing), None)
         raise ConfigError(added or f"{in_one_line(printed.getvalue())}; see `{prog} --help`") from None
     sys.stderr.write(printed.getvalue())
@@ -237,8 +238,6 @@ def forget(stream: Any) -> None:
 
 # --- Messages of the parser of options, in one line and without the names of its types.
 
-INDENT = 8
-"""The parser's box indents the help of an option by so many blanks, and the option by fewer."""
 LEFT_OUT = ("Argument helptext", "For full helptext", "Got errors", "Invalid choice")
 """Beginnings of the box's sections that the line leaves out."""
 NO_TYPE = r"Error parsing (\S+): no type matching"
@@ -273,7 +272,6 @@ PLAIN: Sequence[tuple[str, Callable[[re.Match[str]], str]]] = (
         lambda m: f"{m[2]} takes one of {choices(m[3])}; not {m[1]}",
     ),
     (r"Missing from tauext[\w ]*: (.*)", lambda m: f"missing: {m[1]}"),
-    (r"Unrecognized options: --(\w+)\..*", lambda m: plugins.how_to_add(m[1]) or m[0]),
 )
 """The parser's messages, and the same in plain words; the first that matches."""
 
@@ -285,7 +283,7 @@ def in_one_line(box: str) -> str:
         inside = line.strip("│|")
         if not inside.strip(" ─-") or line.startswith(("╭", "╰", "+")):
             sections.append([])
-        elif len(inside) - len(inside.lstrip()) < INDENT:
+        elif len(inside) - len(inside.lstrip()) < 8:  # the box indents options by fewer blanks than their help
             sections[-1].append(inside.strip())
     messages = [" ".join(section) for section in sections if section and not section[0].startswith(LEFT_OUT)]
     return "; ".join(map(in_plain_words, messages)) or "the options are invalid"

@@ -14,7 +14,7 @@ from tauext.errors import ConfigError
 
 @dataclass(frozen=True)
 class Folders:
-    """Folders that a command makes, and what `tauext show` and `tauext report` do with them."""
+    """Folders that a command makes, and what `tauext show`, `tauext report` and `tauext send` do with them."""
 
     mark: str
     """Name of a file that each of them holds."""
@@ -22,6 +22,8 @@ class Folders:
     """`module:function` of a folder and whether JSON is asked for, which prints what is in it."""
     report: str
     """`module:function` of some folders and the folder of pages, which draws their history."""
+    socket: str
+    """`module:function` of a folder, which returns the path of its control socket."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class Command:
     commands: Mapping[str, Command] = field(default_factory=dict)
     """Commands of a group, which has no function."""
     title: str = "Plug-ins"
-    """Of the part of the overview in which a plug-in's command stands."""
+    """Title of the part of the overview that lists a plug-in's command."""
     folders: Folders | None = None
     """None: it makes no folders that other commands show."""
 

@@ -12,9 +12,9 @@ from tauext.bundle.units import not_monitored
 from tauext.cli.progress import PrintContext
 from tauext.cli.text_lines import Outcome, TextLines
 from tauext.data.recording import Recording
+from tauext.monitor.event_stream import Chunk, StatusClock, Tally
 from tauext.monitor.flight_files import FlightCount, FlightNews
 from tauext.monitor.monitored_time import Monitored
-from tauext.monitor.replay import Chunk, StatusClock, Tally
 
 if TYPE_CHECKING:
     from tauext.monitor.loop import ProfileSwitch

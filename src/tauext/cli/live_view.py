@@ -15,9 +15,9 @@ from tauext._core import cause_names
 from tauext.bundle.estimates import ALARMS, HEALTHS
 from tauext.bundle.units import SEVERAL, of_all, short
 from tauext.cli.text_lines import TextLines
+from tauext.monitor.event_stream import Chunk, Tally
 from tauext.monitor.explanation import readable
 from tauext.monitor.monitored_time import percent
-from tauext.monitor.replay import Chunk, Tally
 from tauext.progress import in_plain_letters
 
 REFRESH_S = 0.1

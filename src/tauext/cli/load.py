@@ -172,15 +172,15 @@ def load(
 
 def weigh(bundle: Bundle, where: NamedFrame, parts: list[WeighedMotion], reach_m: float, as_json: bool) -> None:
     """Print the load from all of the motion, and from each window alone."""
-    from tauext.monitor.weighing import each_window, identify, load_facts, load_sentences, mass_words, weighing_joints
+    from tauext.monitor.weighing import each_window, found_facts, identify, load_sentences, mass_words, weighing_joints
 
     found = identify(bundle, where, parts, reach_m)
     alone = each_window(bundle, where, parts, found) if found.verdict == "load" else []
     unit = bundle.estimate_units[int(weighing_joints(bundle).argmax())]
     left_out = not_used(bundle)
     if as_json:
-        windows = [{"recording": name, "from_s": start} | load_facts(own) for name, start, own in alone]
-        facts = {"frame": where.name, "unit": unit, "left_out": left_out} | load_facts(found) | {"windows": windows}
+        windows = [{"recording": name, "from_s": start} | found_facts(own) for name, start, own in alone]
+        facts = {"frame": where.name, "unit": unit, "left_out": left_out} | found_facts(found) | {"windows": windows}
         print(json.dumps(facts, indent=1))
         return
     for line in load_sentences(found, where.name, unit):

@@ -4,16 +4,27 @@ from __future__ import annotations
 
 import time
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from tauext.cli.loop_options import (
+    FlightArg,
+    FlightOptions,
+    PrintArg,
+    PrintOptions,
+    SinkArg,
+    SinkOptions,
+    chosen_sinks,
+    opened_sinks,
+)
 from tauext.cli.source_options import SOURCES, SourceOptions, SourceOptionsArg, given
 from tauext.config import require
 from tauext.errors import AwayError, ConfigError
+from tauext.monitor.sink_kind import Watched
 from tauext.sources.open import open_source
 
 if TYPE_CHECKING:
@@ -23,13 +34,8 @@ if TYPE_CHECKING:
     from tauext.cli.json_lines import Output
     from tauext.monitor.flight_files import FlightSettings
     from tauext.monitor.loop import Loop, LoopSettings
-    from tauext.monitor.mcap_sink import McapSink
-    from tauext.monitor.record_sink import FlightSink, RecordCount, RecordSink
+    from tauext.monitor.record_sink import FlightSink, RecordSink
     from tauext.monitor.source import Source
-
-STDIN = Path("-")
-MOST_CORES = 1024
-"""Largest number of processors to which Linux pins threads."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +46,8 @@ class Extras:
     record: Path | None
     segment_s: float
     control: Path | None
-    mcap: Path | None = None
+    sinks: dict[str, Any] = field(default_factory=dict)
+    """Values of the options of further sinks, by name."""
 
 
 def monitor(
@@ -53,18 +60,14 @@ def monitor(
     missing_after_ms: float | None = None,
     acknowledge_after_s: float | None = None,
     duration_s: float | None = None,
-    flights: Path | None = None,
-    before_s: float = 5.0,
-    after_s: float = 1.0,
-    contacts: bool = False,
+    flights: FlightArg = FlightOptions(),  # noqa: B008
     record: Path | None = None,
     segment_s: float = 25.0,
     core: int | None = None,
     priority: int | None = None,
     wrench: str | None = None,
-    mcap: Path | None = None,
-    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
-    status_hz: float = 0.0,
+    sinks: SinkArg = SinkOptions(),  # noqa: B008
+    shown: PrintArg = PrintOptions(),  # noqa: B008
 ) -> None:
     """Monitor a live arm: external torque, contacts, collisions, and the reactions to them.
 
@@ -82,11 +85,6 @@ def monitor(
             a period and 2 ms if that is longer.
         acknowledge_after_s: seconds after which a collision is acknowledged. None: only on request.
         duration_s: time after which the monitor ends, [s]. None: with the source, or on request.
-        flights: folder for flights: recording, estimates and a written explanation around every collision and fault.
-            Existing files are never overwritten. None: no flights.
-        before_s: seconds before the event that a flight keeps.
-        after_s: seconds after the event that a flight keeps.
-        contacts: also write flights of contacts.
         record: folder for recordings of all received samples, for a later training.
         segment_s: length of each recording, [s]; a killed process loses at most this much.
         core: processor core of the loop and the receiver of samples. None: any.
@@ -94,10 +92,6 @@ def monitor(
             scheduling.
         wrench: frame of the bundle (a link of the robot file or a joint's frame) at which the force of every touch is
             also reported, with uncertainty and direction. An unknown name prints the available frames.
-        mcap: file (*.mcap) for samples, estimates, forces and events, which Foxglove, Rerun and PlotJuggler open.
-            A killed process leaves a file that they can recover. None: none is written.
-        as_json: print JSON lines, an object an event.
-        status_hz: how often --json also prints the estimates, per second; 0: events only.
     """
     if bundle is None or source is None:
         missing = "--source" if bundle is not None else "the bundle"
@@ -105,19 +99,13 @@ def monitor(
     require_positive(missing_after_ms=missing_after_ms, acknowledge_after_s=acknowledge_after_s, duration_s=duration_s)
     require(1 <= segment_s <= 3600, "segment_s", segment_s, "1 to 3600")
     require(priority is None or 1 <= priority <= 99, "priority", priority, "1 to 99")
-    require(0 <= status_hz <= 1e6, "status_hz", status_hz, "0 to 1e6")
-    require(core is None or 0 <= core < MOST_CORES, "core", core, f"0 to {MOST_CORES - 1}")
-    require(status_hz == 0 or as_json, "status_hz", status_hz, "left out unless --json is given")
-
-    from tauext.cli.run import open_output
-    from tauext.monitor.flight_files import FlightSettings
+    require(core is None or 0 <= core < 1024, "core", core, "0 to 1023")  # processors to which Linux pins threads
     from tauext.monitor.loop import LoopSettings
 
     missing_s = None if missing_after_ms is None else missing_after_ms * 1e-3
     settings = LoopSettings(own_rate, missing_s, acknowledge_after_s, duration_s, core, priority, wrench)
-    kept = None if flights is None else FlightSettings(flights, before_s, after_s, contacts)
-    extras = Extras(kept, record, segment_s, control, mcap)
-    output = open_output(as_json, status_hz, flights, acknowledge_after_s is not None)
+    extras = Extras(flights.settings, record, segment_s, control, chosen_sinks(sinks))
+    output = shown.output(flights.flights, acknowledge_after_s is not None)
     watch(bundle, source, given(options), cell, settings, extras, output)
 
 
@@ -143,23 +131,22 @@ def watch(
         AwayError: the source or the duration ended without a sample.
     """
     from tauext.bundle.bundle_file import load_bundle
-    from tauext.cli.monitor_output import OutputSink, output_thread
-    from tauext.cli.text_lines import Outcome
+    from tauext.cli.monitor_output import OutputSink, expect_nothing_lost, output_thread
     from tauext.monitor.cell_file import Cell, load_cell
     from tauext.monitor.latency import how_to_hold_the_rate
     from tauext.monitor.loop import Loop
     from tauext.monitor.reactions import start_reactions
 
     bundle = load_bundle(path)
-    joints = tuple(link.joint_name for link in bundle.links)
-    cell = Cell() if of_cell is None else load_cell(of_cell, joints)
+    cell = Cell() if of_cell is None else load_cell(of_cell, [link.joint_name for link in bundle.links])
     source, publishers = open_source(text, options, bundle, cell)
     unmonitored = cell.unmonitored(bundle)
-    flights, record, mcap = written(extras, bundle, source.name, settings.wrench)
-    sinks = [*publishers, *(sink for sink in (flights, record, mcap) if sink is not None)]
+    flights, record = written(extras, bundle, source.name)
+    added = opened_sinks(extras.sinks, Watched(bundle, source.name, settings.wrench))
     reactions = start_reactions(cell.reactions, source, publishers)
     with ExitStack() as stack:
         stack.callback(reactions.end)
+        sinks = [*publishers, *(sink for sink in (flights, record) if sink is not None), *added]
         recorder = flights.recorder if flights else None
         loop = Loop(bundle, source, sinks, reactions, cell.profiles, recorder, settings, phases=cell.phases)
         stack.enter_context(output)
@@ -167,9 +154,6 @@ def watch(
         remedy = how_to_hold_the_rate(settings.core, settings.priority)
         shown = OutputSink(output, worker, loop, reactions, flights, remedy)
         loop.sinks.append(shown)
-        for sink in (record, mcap):
-            if sink is not None:
-                sink.note = shown.note
         loop.note, loop.switched = shown.note, shown.switched
         stack.enter_context(controlled(extras.control, loop))
         worker.put(partial(output.start_live, source.name, bundle), must=True)
@@ -179,37 +163,26 @@ def watch(
         loop.run()
         ran_s = time.monotonic() - began_s
         shown.print_news()
-        if mcap is not None:
-            shown.note(f"{mcap.path}: {mcap.samples:,} samples")
-        if flights is not None:
-            shown.flights.missed, shown.flights.repeated = flights.recorder.missed, flights.repeated
-        outcome = Outcome(shown.tally, loop.tick, loop.missing, source.counts, shown.flights)
-        outcome.monitored = loop.monitored
-        outcome.reactions = {thread.reaction.name: thread.count for thread in reactions.threads}
-        outcome.recorded = record.count if record else None
+        for sink in added:
+            shown.note(sink.summary())
+        outcome = shown.outcome(source.counts, record.count if record else None)
         worker.put(partial(output.finish, outcome), must=True)
     expect_samples(source, loop, ran_s)
-    expect_nothing_lost(outcome.recorded, mcap)
+    expect_nothing_lost([*filter(None, [record]), *added])
     shown.flights.expect_all_written()
 
 
-def written(
-    extras: Extras, bundle: Bundle, source: str, wrench: str | None
-) -> tuple[FlightSink | None, RecordSink | None, McapSink | None]:
-    """Sinks that write flights, recordings and a file for viewers, as far as they are asked for."""
+def written(extras: Extras, bundle: Bundle, source: str) -> tuple[FlightSink | None, RecordSink | None]:
+    """Sinks that write flights and recordings, as far as they are asked for."""
     from tauext.monitor.record_sink import FlightSink, RecordSink
     from tauext.monitor.source import settings_of
 
-    flights = record = mcap = None
+    flights = record = None
     if (kept := extras.flights) is not None:
         flights = FlightSink(kept.folder, bundle, kept.recorder(bundle), source)
     if extras.record is not None:
         record = RecordSink(extras.record, settings_of(bundle), source, extras.segment_s, lambda: bundle.name)
-    if extras.mcap is not None:
-        from tauext.monitor.mcap_sink import McapSink
-
-        mcap = McapSink(extras.mcap, bundle, source, wrench)
-    return flights, record, mcap
+    return flights, record
 
 
 def expect_samples(source: Source, loop: Loop, ran_s: float) -> None:
@@ -220,15 +193,6 @@ def expect_samples(source: Source, loop: Loop, ran_s: float) -> None:
         raise AwayError(
             f"{source.name}: {came} in {ran_s:.1f} s; check that the robot sends, and the options of --source"
         )
-
-
-def expect_nothing_lost(recorded: RecordCount | None, mcap: McapSink | None) -> None:
-    """Raise ConfigError where samples were not written."""
-    if recorded is not None and recorded.lost:
-        of = recorded.lost + recorded.samples
-        raise ConfigError(f"{recorded.lost} of {of} samples of the recording are lost: {recorded.error}")
-    if mcap is not None and mcap.error:
-        raise ConfigError(f"{mcap.lost} of {mcap.lost + mcap.samples} samples of the MCAP file are lost: {mcap.error}")
 
 
 @contextmanager
@@ -242,7 +206,7 @@ def controlled(path: Path | None, loop: Loop) -> Iterator[None]:
 
     steered = weakref.proxy(loop)  # a thread that waits for a line for ever must not keep it alive
     with stopped_by_signals(loop.stop):
-        if path == STDIN:
+        if path == Path("-"):
             obey_lines(sys.stdin, steered)
             yield
         elif path is not None:

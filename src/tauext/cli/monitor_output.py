@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 
 from tauext import _core
 from tauext.cli.json_lines import Output
+from tauext.cli.text_lines import Outcome
+from tauext.errors import ConfigError
 from tauext.monitor.background import BackgroundWorker
+from tauext.monitor.event_stream import Tally
 from tauext.monitor.flight_files import FlightCount
 from tauext.monitor.loop import Loop, ProfileSwitch, chunk_of
 from tauext.monitor.monitored_time import Monitored, MonitoredNews
 from tauext.monitor.reactions import Reactions
-from tauext.monitor.record_sink import FlightSink
-from tauext.monitor.replay import Tally
-from tauext.monitor.sink import Control, LoopReport, Verdict
+from tauext.monitor.record_sink import FlightSink, RecordCount
+from tauext.monitor.sink import Control, LoopReport, Losing, Verdict
+from tauext.monitor.source import SourceCounts
 
 # --- Output beside the loop: a terminal that draws, or a pipe without a reader, delays no sample.
-
-
-MOST_WAITING = 1000
-"""Waiting outputs above which optional ones are dropped: twenty seconds of chunks."""
-MOST_BEHIND = 4
-"""Outputs of a replay that wait, of a second each."""
-END_S = 5.0
-"""Time that a reader has at the end for the outputs that still wait, [s]."""
 
 
 @contextmanager
@@ -36,22 +31,28 @@ def output_thread(failed: Callable[[], object], patient: bool = False) -> Iterat
         failed: called after that error.
         patient: see BackgroundWorker.
     """
-    worker = BackgroundWorker("output", MOST_BEHIND if patient else MOST_WAITING, failed)
+    # Outputs that may wait: of a replay four, of a second each; else twenty seconds of chunks.
+    worker = BackgroundWorker("output", 4 if patient else 1000, failed)
     worker.patient = patient
     worker.start()
     try:
         yield worker
     finally:
-        worker.end(END_S)
+        worker.end(5.0)  # time for a reader to take the outputs that still wait
     if worker.error is not None:
         raise worker.error
+
+
+def expect_nothing_lost(sinks: Sequence[Losing]) -> None:
+    """Raise ConfigError where a sink could not write samples."""
+    for sink in sinks:
+        if why := sink.loss():
+            raise ConfigError(why)
 
 
 # --- Reports of the loop, printed in another thread.
 
 
-QUIET_S = 10
-"""Between two notes that nothing has come yet."""
 CHUNK_S = 0.02
 """Time of a chunk of samples, short enough for viewers."""
 
@@ -68,11 +69,13 @@ class OutputSink:
         flights: FlightSink | None = None,
         remedy: str = "",
         chunk_s: float = CHUNK_S,
+        is_live: bool = True,
     ):
         """
         Args:
             remedy: what a person can do if samples come late or not at all.
             chunk_s: shortest chunk, in the time of the samples, [s].
+            is_live: False: of a recording, which has no time of its own to report.
         """
         period_ns = loop.monitor.sample_period_ns
         self.tally = Tally(loop.joints, period_ns, tuple(loop.monitor.estimate_units))
@@ -81,7 +84,7 @@ class OutputSink:
         self._reactions, self._flight_sink = reactions, flights
         self._most = max(1, round(chunk_s * 1e9 / period_ns))
         self._verdicts: list[Verdict] = []
-        self._seen, self._silent_s = False, 0
+        self._is_live, self._seen, self._silent_s = is_live, not is_live, 0
         self.monitored, self._news = Monitored(), MonitoredNews(remedy)
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
@@ -101,8 +104,11 @@ class OutputSink:
         self.tally.units = tuple(monitor.estimate_units)
 
     def every_second(self, report: LoopReport) -> None:
+        if not self._is_live:
+            self.print_news()
+            return
         if not self._seen:
-            if self._silent_s % QUIET_S == 0:
+            if self._silent_s % 10 == 0:
                 self.note("no sample yet")
             self._silent_s += 1
         self.monitored = report.monitored
@@ -130,6 +136,15 @@ class OutputSink:
             self.flights.add(flight)
             self._worker.put(partial(self._output.flight, flight), must=True)
 
+    def outcome(self, counts: SourceCounts, recorded: RecordCount | None) -> Outcome:
+        """The summary after the loop has ended."""
+        loop, flights = self._loop, self._flight_sink
+        if flights is not None:
+            self.flights.missed, self.flights.repeated = flights.recorder.missed, flights.repeated
+        reactions = {thread.reaction.name: thread.count for thread in self._reactions.threads}
+        of_loop = (loop.tick, loop.missing, counts)
+        return Outcome(self.tally, *of_loop, self.flights, reactions, recorded, loop.monitored)
+
     def _print(self) -> None:
         """Samples that did not come are shown, and not counted."""
         self.print_news()
@@ -140,21 +155,3 @@ class OutputSink:
         came = [one.block is not None for one in verdicts for _ in one.t_ns]
         self.tally.add(chunk, self._loop.monitor, came)
         self._worker.put(partial(self._output.chunk, chunk, self.tally), must=bool(chunk.changes))
-
-
-class ReplayOutput(OutputSink):
-    """The output of a recording, which has no time of its own to report."""
-
-    def __init__(
-        self,
-        output: Output,
-        worker: BackgroundWorker,
-        loop: Loop,
-        flights: FlightSink | None,
-        chunk_s: float,
-    ):
-        super().__init__(output, worker, loop, Reactions(), flights, chunk_s=chunk_s)
-        self._seen = True
-
-    def every_second(self, report: LoopReport) -> None:
-        self.print_news()

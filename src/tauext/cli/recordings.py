@@ -77,8 +77,8 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
     """Write the commented arm.toml; nothing is overwritten."""
     from tauext.data.description import GUESSED, open_entries
     from tauext.data.description_template import RATE, Guess, guess, guess_values, template
-    from tauext.data.importers.damaged import whole
     from tauext.data.importers.open_raw import open_raw
+    from tauext.data.importers.raw import whole
     from tauext.files.plain_file import parse_toml
     from tauext.files.typed_table import write_template as write_text
     from tauext.robot.read import movable_joints

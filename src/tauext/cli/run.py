@@ -3,31 +3,36 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import tyro
+from typing import TYPE_CHECKING
 
 from tauext.cli.arguments import BundleArg, RecordingsArg
+from tauext.cli.loop_options import (
+    FlightArg,
+    FlightOptions,
+    PrintArg,
+    PrintOptions,
+    SinkArg,
+    SinkOptions,
+    chosen_sinks,
+    opened_sinks,
+)
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
+from tauext.monitor.sink_kind import Watched
 
 if TYPE_CHECKING:
     from tauext._core import Bundle
     from tauext.cli.json_lines import Output
     from tauext.data.recording import Recording
+    from tauext.monitor.event_stream import Tally
     from tauext.monitor.flight_files import FlightCount, FlightSettings
     from tauext.monitor.loads import TimedLoad
     from tauext.monitor.phases import Phases
-    from tauext.monitor.replay import Tally
-
-
-BLOCK_S = 1.0
-"""Samples that are judged at once, as fast as possible, [s]."""
-NEVER_S = 1e6
-"""Silence of a recording that counts as a missing sample, [s]: a gap is found by the stamp of the sample after it."""
+    from tauext.monitor.sink import AddedSink
 
 
 @dataclass(frozen=True)
@@ -42,8 +47,8 @@ class RunSettings:
     wrench: str | None
     """Frame at which the force of a touch is reported, too."""
     phases: Phases | None = None
-    mcap: Path | None = None
-    """File for viewers."""
+    sinks: Sequence[AddedSink] = ()
+    """Further sinks, of the only recording."""
 
 
 def run(
@@ -53,17 +58,13 @@ def run(
     speed: float | None = None,
     own_rate: bool = False,
     acknowledge_after_s: float | None = None,
-    flights: Path | None = None,
-    before_s: float = 5.0,
-    after_s: float = 1.0,
-    contacts: bool = False,
+    flights: FlightArg = FlightOptions(),  # noqa: B008
     load: str | None = None,
     loads: Path | None = None,
     cell: Path | None = None,
     wrench: str | None = None,
-    mcap: Path | None = None,
-    as_json: Annotated[bool, tyro.conf.arg(name="json")] = False,
-    status_hz: float = 0.0,
+    sinks: SinkArg = SinkOptions(),  # noqa: B008
+    shown: PrintArg = PrintOptions(),  # noqa: B008
 ) -> None:
     """Replay recordings through the monitor: alarms, health and their causes as a control loop would see them.
 
@@ -79,11 +80,6 @@ def run(
         own_rate: run the network at its own rate (usually 100 Hz) and hold its value in between, for slow processors.
         acknowledge_after_s: seconds after which a collision is acknowledged. None: never. The first collision of a
             recording then stays and hides later ones.
-        flights: folder for flights: recording, estimates and a written explanation around every collision and fault.
-            Existing files are never overwritten. None: no flights.
-        before_s: seconds before the event that a flight keeps.
-        after_s: seconds after the event that a flight keeps.
-        contacts: also write flights of contacts.
         load: constant payload in the bundle's load frame, such as "mass=2.8 com=0,0,0.05"; optional
             inertia=XX,YY,ZZ,XY,XZ,YZ and error=SHARE. Units: kg, m, kg m^2.
         loads: TOML file of payloads with the times at which they change; docs/loads.md.
@@ -91,39 +87,42 @@ def run(
             docs/contacts.md.
         wrench: frame of the bundle (a link of the robot file or a joint's frame) at which the force of every touch is
             also reported, with uncertainty and direction. An unknown name prints the available frames.
-        mcap: file (*.mcap) for samples, estimates, forces and events, which Foxglove, Rerun and PlotJuggler open.
-            None: none is written.
-        as_json: print JSON lines, an object an event: start, health, alarm, flight, status, end, summary.
-        status_hz: how often --json also prints the estimates, per second of the recording; 0: events only.
     """
     require(speed is None or 1e-6 <= speed <= 1e6, "speed", speed, "> 0: 1e-6 to 1e6")
     require(not real_time or speed is None, "speed", speed, "left out with --real-time, which is speed 1")
     after = acknowledge_after_s
     require(after is None or 0 < after <= 1e6, "acknowledge_after_s", after, "> 0, at most 1e6; left out: never")
-    require(0 <= status_hz <= 1e6, "status_hz", status_hz, "0 to 1e6")
-    require(status_hz == 0 or as_json, "status_hz", status_hz, "left out unless --json is given")
-    require(mcap is None or len(recordings) == 1, "mcap", mcap, "left out, or given with one recording")
-    from tauext.monitor.cell_file import Cell, load_cell
-    from tauext.monitor.flight_files import FlightSettings
-    from tauext.monitor.touch_place import PlaceFinder
-
+    for name, value in (chosen := chosen_sinks(sinks)).items():
+        require(len(recordings) == 1, name, value, "left out, or given with one recording")
+    output = shown.output(flights.flights, after is not None)
     loaded = fitting_bundle(bundle, recordings)
-    if mcap is not None:
-        from tauext.monitor.mcap_log import expect_log
-
-        expect_log(mcap)
-    kept = None if flights is None else FlightSettings(flights, before_s, after_s, contacts)
-    carried = timed_loads(loaded, load, loads)
-    its = Cell() if cell is None else load_cell(cell, [link.joint_name for link in loaded.links])
-    unmonitored = its.unmonitored(loaded)
-    settings = RunSettings(1.0 if real_time else speed, own_rate, after, kept, carried, wrench, its.phases, mcap)
-    PlaceFinder(loaded, wrench)  # refuses an unknown frame before anything is replayed
+    kept, carried = flights.settings, timed_loads(loaded, load, loads)
+    phases, unmonitored = phases_of(cell, loaded)
+    expect_frame(loaded, wrench)
+    added = opened_sinks(chosen, Watched(loaded, recordings[0].stem, wrench, is_live=False))
     if kept is not None:
         kept.recorder(loaded)
-    with open_output(as_json, status_hz, flights, after is not None) as output:
+    speed = 1.0 if real_time else speed
+    with output:
         for words in unmonitored:
             print(f"tauext: {words}", file=sys.stderr)
+        settings = RunSettings(speed, own_rate, after, kept, carried, wrench, phases, added)
         replay_all(loaded, recordings, settings, output)
+
+
+def phases_of(cell: Path | None, bundle: Bundle) -> tuple[Phases | None, list[str]]:
+    """Phases of the cell's file, and what is not monitored during each of them, in sentences."""
+    from tauext.monitor.cell_file import Cell, load_cell
+
+    its = Cell() if cell is None else load_cell(cell, [link.joint_name for link in bundle.links])
+    return its.phases, its.unmonitored(bundle)
+
+
+def expect_frame(bundle: Bundle, wrench: str | None) -> None:
+    """Raise ConfigError for a frame that the bundle lacks, before anything is replayed."""
+    from tauext.monitor.touch_place import PlaceFinder
+
+    PlaceFinder(bundle, wrench)
 
 
 def timed_loads(bundle: Bundle, load: str | None, loads: Path | None) -> tuple[TimedLoad, ...]:
@@ -141,21 +140,6 @@ def timed_loads(bundle: Bundle, load: str | None, loads: Path | None) -> tuple[T
     for one in listed:
         expect_load(bundle.load_settings, one.load)
     return tuple(listed)
-
-
-def open_output(as_json: bool, status_hz: float, flights: Path | None, acknowledges: bool) -> Output:
-    """JSON lines if as_json, a live view on a terminal, else lines of text."""
-    if as_json:
-        from tauext.cli.json_lines import JsonLines
-
-        return JsonLines(status_hz)
-    if sys.stdout.isatty():
-        from tauext.cli.live_view import LiveView
-
-        return LiveView(flights, acknowledges)
-    from tauext.cli.text_lines import TextLines
-
-    return TextLines(flights, acknowledges)
 
 
 def fitting_bundle(path: Path, recordings: tuple[Path, ...]) -> Bundle:
@@ -184,8 +168,8 @@ def replay_all(bundle: Bundle, recordings: tuple[Path, ...], settings: RunSettin
         ConfigError: some flights could not be written.
     """
     from tauext.data.recording_file import load_recording
+    from tauext.monitor.event_stream import Tally
     from tauext.monitor.flight_files import FlightCount
-    from tauext.monitor.replay import Tally
 
     total = Tally(
         tuple(link.joint_name for link in bundle.links), bundle.observer.sample_period_ns, tuple(bundle.estimate_units)
@@ -213,12 +197,12 @@ def replay_one(
     """The loop on one recording, with a new monitor and flight recorder; counted in full even if it ends early.
 
     Raises:
-        ConfigError: the MCAP file cannot be written.
+        ConfigError: a sink lost samples.
     """
-    from tauext.cli.monitor_output import CHUNK_S, ReplayOutput, output_thread
+    from tauext.cli.monitor_output import CHUNK_S, OutputSink, expect_nothing_lost, output_thread
     from tauext.monitor.flight_files import FlightSource
     from tauext.monitor.loop import Loop, LoopSettings
-    from tauext.monitor.mcap_sink import McapSink
+    from tauext.monitor.reactions import Reactions
     from tauext.monitor.record_sink import FlightSink
     from tauext.monitor.source import settings_of
     from tauext.monitor.turns import Turns
@@ -228,39 +212,34 @@ def replay_one(
     q, _ = turns.rows(recording.t_ns, recording.q)
     if q is not recording.q:
         recording = replace(recording, q=q)
-    block_s = chunk_s = BLOCK_S if settings.speed is None else CHUNK_S * settings.speed
-    flights = recorder = mcap = None
+    block_s = chunk_s = 1.0 if settings.speed is None else CHUNK_S * settings.speed
+    flights = recorder = None
     if (kept := settings.flights) is not None:
         recorder = kept.recorder(bundle)
         flights = FlightSink(kept.folder, bundle, recorder, FlightSource.of(bundle, recording))
         block_s = min(block_s, max(kept.after_s, CHUNK_S))
-    if settings.mcap is not None:
-        mcap = McapSink(settings.mcap, bundle, recording.name, settings.wrench)
-        mcap.worker.patient = True
+    never_s = 1e6  # a gap is found by the stamp of the sample after it
     in_loop = LoopSettings(
-        settings.own_rate, NEVER_S, settings.acknowledge_after_s, wrench=settings.wrench, block_s=block_s
+        settings.own_rate, never_s, settings.acknowledge_after_s, wrench=settings.wrench, block_s=block_s
     )
-    source, sinks = ReplaySource(recording, settings.speed, is_made=True), [one for one in (flights, mcap) if one]
+    source, sinks = ReplaySource(recording, settings.speed, is_made=True), [*filter(None, [flights]), *settings.sinks]
     loop = Loop(bundle, source, sinks, None, None, recorder, in_loop, phases=settings.phases, loads=settings.loads)
     with output_thread(lambda: loop.stop("an output that cannot be written"), patient=True) as worker:
-        shown = ReplayOutput(output, worker, loop, flights, chunk_s)
+        shown = OutputSink(output, worker, loop, Reactions(), flights, chunk_s=chunk_s, is_live=False)
         loop.sinks.append(shown)
         loop.note = shown.note
-        if mcap is not None:
-            mcap.note = shown.note
         for text in turns.notes():
             shown.note(text)
         try:
             loop.run()
         finally:
             shown.print_news()
-            if mcap is not None:
-                shown.note(f"{mcap.path}: {mcap.samples:,} samples")
+            for sink in settings.sinks:
+                shown.note(sink.summary())
             if recorder is not None:
                 shown.flights.missed += recorder.missed
             total.merge(shown.tally)
             all_flights.merge(shown.flights)
             is_complete = shown.tally.samples == recording.samples
             worker.put(partial(output.end, shown.tally, shown.flights, is_complete))
-    if mcap is not None and mcap.error:
-        raise ConfigError(f"{mcap.lost} of {recording.samples} samples of the MCAP file are lost: {mcap.error}")
+    expect_nothing_lost(settings.sinks)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from tauext.cli.commands import folders_like, loaded
 from tauext.cli.monitor import require_positive
 from tauext.errors import ConfigError
 
@@ -25,16 +26,15 @@ def send(
         line: words of the line, such as `acknowledge` or `load mass=2.8 com=0,0,0.05`.
         timeout_s: time after which a missing answer is an error, [s].
     """
-    from tauext.bundle.history_file import read_facts
+
     from tauext.monitor.control_lines import send_line
 
     require_positive(timeout_s=timeout_s)
     if not line:
         raise ConfigError("the line is missing: tauext send SOCKET acknowledge")
-    socket = to
-    if to.is_dir():
-        socket = to / str(read_facts(to).get("control") or "control.sock")
-    answer = send_line(socket, " ".join(line), timeout_s)
+    if to.is_dir() and (folders := folders_like(to)) is None:
+        raise ConfigError(f"{to}: is no socket, and no folder of `tauext commission`")
+    answer = send_line(loaded(folders.socket)(to) if to.is_dir() and folders else to, " ".join(line), timeout_s)
     if answer != "ok":
         raise ConfigError(answer.removeprefix("error: "))
     print(answer)

@@ -4,43 +4,28 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import tyro
 
 from tauext import plugins
-from tauext.bundle.history_file import BUNDLES
 from tauext.cli.arguments import JsonArg
 from tauext.cli.commands import folders_like, loaded
 from tauext.errors import BundleError, ConfigError
 from tauext.files.kind import LOGS, import_first
 
 if TYPE_CHECKING:
-    from tauext._core import Bundle, LoadSettings, ObserverSettings
+    from tauext._core import Bundle, ObserverSettings
 
 Content = dict[str, Any]
 """Values by identifiers that end in their units, for --json. Text shows the identifiers with blanks, and adds words."""
 SHOWN = "a bundle (*.tauext), a recording (*.parquet), a prior (*.prior.json) or a folder of `tauext commission`"
-UNITS = {
-    "_nm": "Nm",
-    "_per_s": "1/s",
-    "_rad_s": "rad/s",
-    "_rad": "rad",
-    "_mrad": "mrad",
-    "_s": "s",
-    "_hz": "Hz",
-    "_kg_m2": "kg m2",
-    "_kg": "kg",
-    "_m": "m",
-    "_a": "A",
-}
+UNITS = {"_nm": "Nm", "_per_s": "1/s", "_rad_s": "rad/s", "_rad": "rad", "_mrad": "mrad", "_s": "s", "_hz": "Hz"} | {
+    "_kg_m2": "kg m2", "_kg": "kg", "_m": "m", "_a": "A"
+}  # fmt: skip
 """Units by the end of an identifier; the first that fits."""
-ESTIMATED = ("limits", "contact_limits", "drift", "largest_torque_in_training", "drive_torque_limits")
-"""Beginnings of identifiers whose values have the unit of the estimate, which is not Nm for every bundle."""
-IN_WORDS = ("provenance", "situations", "table")
-"""Content that text shows otherwise."""
 
 
 # --- The command.
@@ -67,9 +52,7 @@ def show(
     """
     if folders := folders_like(file):
         if force or data or frame or picture is not None:
-            raise ConfigError(
-                f"--force, --data, --frame and --picture belong to a bundle; give one of {file / BUNDLES}"
-            )
+            raise ConfigError(f"--force, --data, --frame and --picture belong to a bundle; give one in {file}")
         loaded(folders.show)(file, as_json)
         return
     if (file / "split.json").is_file():
@@ -104,13 +87,11 @@ def lines(content: Content) -> list[str]:
     from tauext.bundle.units import of_all
 
     units = UNITS | ({"_nm": of_all(content["answers_in"].values())} if "answers_in" in content else {})
-    return aligned(
-        {
-            label(key, units if key.startswith(ESTIMATED) else UNITS): in_text(value)
-            for key, value in content.items()
-            if key not in IN_WORDS
-        }
-    )
+    # The values of these have the unit of the estimate, which is not Nm for every bundle.
+    estimated = ("limits", "contact_limits", "drift", "largest_torque_in_training", "drive_torque_limits")
+    in_words = ("provenance", "situations", "table")
+    shown = {key: value for key, value in content.items() if key not in in_words}
+    return aligned({label(key, units if key.startswith(estimated) else UNITS): in_text(shown[key]) for key in shown})
 
 
 def label(key: str, units: Mapping[str, str]) -> str:
@@ -150,24 +131,24 @@ def describe_bundle(file: Path) -> Content:
     if not isinstance(facts, dict):
         raise TypeError("it is no object")
 
-    def of_joints(values: Any) -> Content:
-        return dict(zip(names, values, strict=True))
-
+    load, shaped = bundle.load_settings, {one.link for one in bundle.capsules}
+    set_to = {"frame": load.frame, "largest_kg": load.largest_mass_kg, "reach_m": load.largest_reach_m}
+    guessed = [name for number, name in enumerate(names) if number not in shaped]
     period_s = bundle.observer.sample_period_ns * 1e-9
     content: Content = {
         "bundle": bundle.name,
         "joints": names,
         "masses_kg": [link.mass for link in bundle.links],
         "rotor_inertias_kg_m2": [link.rotor_inertia for link in bundle.links],
-        "takes_tau_in": of_joints(bundle.torque_units),
-        "answers_in": of_joints(bundle.estimate_units),
+        "takes_tau_in": each(names, bundle.torque_units),
+        "answers_in": each(names, bundle.estimate_units),
         "observer": describe_observer(bundle.observer),
         "sample_rate_hz": 1 / period_s,
         "network": None,
         "prior": None,
         **describe_limits(bundle, names),
-        "load": describe_load(bundle.load_settings),
-        "shapes_of_links": describe_shapes(bundle, names),
+        "load": set_to if load.settable else {"refused": load.refused},
+        "shapes_of_links": {"capsules": len(bundle.capsules), "links": len(shaped), "guessed": guessed},
         "reference": "replayed, equal",
         "provenance": facts,
     }
@@ -181,10 +162,10 @@ def describe_bundle(file: Path) -> Content:
     if bundle.prior.temperature.reference_c:
         warm = bundle.prior.temperature
         for name in ("coulomb_per_10k", "viscous_per_10k", "reference_c"):
-            content[f"temperature_{name}"] = of_joints(getattr(warm, name))
+            content[f"temperature_{name}"] = each(names, getattr(warm, name))
     if bundle.observer.nm_per_unit:
-        content["torque_constants"] = of_joints(bundle.observer.nm_per_unit)
-        content["torque_constants_own_error"] = of_joints(own_shares(bundle))
+        content["torque_constants"] = each(names, bundle.observer.nm_per_unit)
+        content["torque_constants_own_error"] = each(names, own_shares(bundle))
         content["torque_constants_common_error"] = bundle.wrench_settings.common_share
     if (names_left := left_out(bundle)) and not bundle.too_few_in_newtons(""):
         content["without_loads_and_forces"] = names_left
@@ -198,25 +179,27 @@ def describe_limits(bundle: Bundle, names: list[str]) -> Content:
     """Limits of the estimates, and ranges of the signals."""
     from tauext.bundle.units import not_monitored
 
-    def of_joints(values: Any) -> Content:
-        return dict(zip(names, values, strict=True))
-
     return {
         "limits_hold": "in usual motion; they follow the motion" if bundle.error_scale.follows else "always",
-        "limits_sliding_nm": of_joints(map(finite, bundle.sliding_limit_nm)),
-        "limits_near_stiction_nm": of_joints(map(finite, bundle.near_stiction_limit_nm)),
-        "contact_limits_sliding_nm": of_joints(map(finite, bundle.contact_sliding_limit_nm)),
-        "contact_limits_near_stiction_nm": of_joints(map(finite, bundle.contact_near_stiction_limit_nm)),
+        "limits_sliding_nm": each(names, map(finite, bundle.sliding_limit_nm)),
+        "limits_near_stiction_nm": each(names, map(finite, bundle.near_stiction_limit_nm)),
+        "contact_limits_sliding_nm": each(names, map(finite, bundle.contact_sliding_limit_nm)),
+        "contact_limits_near_stiction_nm": each(names, map(finite, bundle.contact_near_stiction_limit_nm)),
         "not_monitored": not_monitored(bundle),
         "near_stiction_below_rad_s": bundle.near_stiction_rad_s,
         "collision_hold_s": bundle.hold_s,
         "contact_hold_s": bundle.contact_hold_s,
         "contact_release_s": bundle.contact_release_s,
         "after_contact_factor": bundle.after_contact_factor,
-        "largest_torque_in_training_nm": of_joints(bundle.largest_torque_nm),
-        "drive_torque_limits_nm": of_joints(map(finite, bundle.torque_limit_nm)),
-        "a_fault_beyond": of_joints(beyond(bundle, joint) for joint in range(len(names))),
+        "largest_torque_in_training_nm": each(names, bundle.largest_torque_nm),
+        "drive_torque_limits_nm": each(names, map(finite, bundle.torque_limit_nm)),
+        "a_fault_beyond": each(names, (beyond(bundle, joint) for joint in range(len(names)))),
     }
+
+
+def each(names: Sequence[str], values: Iterable[Any]) -> Content:
+    """A value of each joint."""
+    return dict(zip(names, values, strict=True))
 
 
 def in_order(facts: Any, names: list[str]) -> Any:
@@ -251,43 +234,24 @@ def beyond(bundle: Bundle, joint: int) -> str:
     return " and ".join(bounds) or "unknown"
 
 
-def describe_load(settings: LoadSettings) -> Content:
-    """Frame of a load, and the largest load; or why none can be set."""
-    if not settings.settable:
-        return {"refused": settings.refused}
-    return {"frame": settings.frame, "largest_kg": settings.largest_mass_kg, "reach_m": settings.largest_reach_m}
-
-
-def describe_shapes(bundle: Bundle, names: list[str]) -> Content:
-    """Capsules that the place of a touch rests on."""
-    shaped = {one.link for one in bundle.capsules}
-    guessed = [name for number, name in enumerate(names) if number not in shaped]
-    return {"capsules": len(bundle.capsules), "links": len(shaped), "guessed": guessed}
-
-
 def describe_servo(bundle: Bundle, names: list[str]) -> Content:
     """Empty where the joints are no servos', or report their torque and velocity."""
     servo = bundle.servo
     content: Content = {}
-    if servo.on and servo.torque_from.name in MADE_OF:
-        content["torque_made_of"] = MADE_OF[servo.torque_from.name]
-        of_servo = ("volts", "ohm", "back_emf_v_s", "nm_per_ampere", "duty_per_rad", "most_duty")
-        for name in of_servo:
-            content[f"servo_{name}"] = {
-                joint: getattr(one, name) for joint, one in zip(names, servo.joints, strict=True)
-            }
+    made_of = {
+        "phase_current": "current of the windings",
+        "supply_current": "current of the supply, with the sign of the duty or of goal minus position",
+        "duty": "duty, less back-EMF",
+        "goal": "goal minus position by the gain of the servo's controller, less back-EMF",
+    }
+    if servo.on and servo.torque_from.name in made_of:
+        content["torque_made_of"] = made_of[servo.torque_from.name]
+        for name in ("volts", "ohm", "back_emf_v_s", "nm_per_ampere", "duty_per_rad", "most_duty"):
+            content[f"servo_{name}"] = each(names, (getattr(one, name) for one in servo.joints))
     if servo.on and servo.velocity_steps:
         content["velocity_from_position_steps"] = servo.velocity_steps
-        content["encoder_counts_rad"] = {name: joint.count_rad for name, joint in zip(names, servo.joints, strict=True)}
+        content["encoder_counts_rad"] = each(names, (joint.count_rad for joint in servo.joints))
     return content
-
-
-MADE_OF = {
-    "phase_current": "current of the windings",
-    "supply_current": "current of the supply, with the sign of the duty or of goal minus position",
-    "duty": "duty, less back-EMF",
-    "goal": "goal minus position by the gain of the servo's controller, less back-EMF",
-}
 
 
 def describe_drift(bundle: Bundle, names: list[str]) -> Content:
@@ -299,11 +263,11 @@ def describe_drift(bundle: Bundle, names: list[str]) -> Content:
     a_minute = min(1.0, 60 * drift.rate_share_per_s)
     content: Content = {
         "drift": {name: getattr(drift, name) for name in tracker},
-        "drift_at_most_nm": dict(zip(names, drift.size_nm, strict=True)),
-        "drift_a_minute_at_most_nm": {name: a_minute * size for name, size in zip(names, drift.size_nm, strict=True)},
+        "drift_at_most_nm": each(names, drift.size_nm),
+        "drift_a_minute_at_most_nm": each(names, (a_minute * size for size in drift.size_nm)),
     }
     if any(drift.freeze_floor_nm):
-        content["drift_never_frozen_below_nm"] = dict(zip(names, drift.freeze_floor_nm, strict=True))
+        content["drift_never_frozen_below_nm"] = each(names, drift.freeze_floor_nm)
     return content
 
 
@@ -315,7 +279,7 @@ def describe_coverage(bundle: Bundle, names: list[str]) -> Content:
     near = zip(names, coverage.reach, coverage.span_rad, coverage.turns, strict=True)
     together = math.degrees(2 * math.pi * coverage.reach_together / coverage.PAIR_CELLS)
     return {
-        "fastest_in_training_rad_s": dict(zip(names, coverage.fastest_rad_s, strict=True)),
+        "fastest_in_training_rad_s": each(names, coverage.fastest_rad_s),
         "familiar_within": {
             name: f"{reach * span / coverage.CELLS:.2g} {'rad' if turns else 'm'} of training"
             if reach
@@ -357,37 +321,38 @@ def words_of_provenance(content: Content) -> dict[str, str]:
     rows |= changed_since_training(facts)
     for recordings, checked in facts.get("checks", {}).items():
         for what, entries in checked.items():
-            for entry in entries:
-                joint = f" of {entry['joint']}" if entry["joint"] else ""
-                rows[f"{what.removesuffix('s')} in {recordings}: {entry['code']}{joint}"] = entry["evidence"]
-    limits, scale = facts.get("limits", {}), facts.get("error_scale", {})
-    if "minutes_factor" in limits:
-        rows["limits are these times what was seen in training"] = in_text(limits["minutes_factor"])
-    if "friction_reserve" in limits:
-        rows["share of the friction in the limits, since it changes"] = in_text(limits["friction_reserve"])
-    if "hours" in scale:
-        rows["error scale was found on [h]"] = in_text(scale["hours"])
+            rows |= {f"{what.removesuffix('s')} in {recordings}: {of_joint(one)}": one["evidence"] for one in entries}
+    limits = facts.get("limits", {})
+    rows |= named(
+        facts,
+        ("limits are these times what was seen in training", "limits", "minutes_factor"),
+        ("share of the friction in the limits, since it changes", "limits", "friction_reserve"),
+        ("error scale was found on [h]", "error_scale", "hours"),
+    )
     if found := content.get("situations"):
         rows |= {f"{joint} is": words for joint, words in sentences(found, content["answers_in"]).items()}
-    if "reason" in facts.get("gain", {}):
-        rows["gain was chosen"] = facts["gain"]["reason"]
-    for finding in facts.get("limit_findings", []):
-        at = f" of {finding['joint']}" if finding["joint"] else ""
-        rows[f"{finding['severity']}: {finding['code']}{at}"] = finding["evidence"]
+    rows |= named(facts, ("gain was chosen", "gain", "reason"))
+    rows |= {f"{one['severity']}: {of_joint(one)}": one["evidence"] for one in facts.get("limit_findings", [])}
     for moment in limits.get("one_moment", []):
         rows[f"warning: one moment sets the limit of {moment['joint']}"] = (
             f"at {moment['time_s']:.1f} s of {moment['recording']}: {moment['limit_nm']:.3g} {units[moment['joint']]} "
             f"{moment['region'].replace('_', ' ')}, without it {moment['without_nm']:.3g} {units[moment['joint']]}"
         )
-    if "sentence" in limits:
-        rows["limits promise"] = limits["sentence"]
-    if "other_motion" in limits:
-        rows["in other motion"] = limits["other_motion"]["sentence"]
-    if "signals" in limits:
-        rows["by other signals"] = limits["signals"]["sentence"]
+    rows |= named(facts, ("limits promise", "limits", "sentence"))
+    rows |= named(limits, ("in other motion", "other_motion", "sentence"), ("by other signals", "signals", "sentence"))
     if "set_for" in limits:
         rows["limits were set for"] = f"{limits['set_for']}, hold time {limits['hold_s'] * 1e3:g} ms"
     return rows
+
+
+def of_joint(finding: Content) -> str:
+    """Code of a finding, and its joint."""
+    return f"{finding['code']} of {finding['joint']}" if finding["joint"] else str(finding["code"])
+
+
+def named(facts: Content, *rows: tuple[str, str, str]) -> dict[str, str]:
+    """Facts by words, each with the two keys that lead to it, where it is there."""
+    return {words: in_text(facts[one][key]) for words, one, key in rows if key in facts.get(one, {})}
 
 
 def prior_words(fitted: Content, units: Mapping[str, str]) -> dict[str, str]:

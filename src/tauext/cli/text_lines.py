@@ -15,10 +15,10 @@ from tauext.bundle.units import not_monitored, short
 from tauext.cli.progress import PrintContext
 from tauext.data.recording import Recording
 from tauext.monitor.changes import Change, HealthChange, HiddenCollision
+from tauext.monitor.event_stream import Chunk, Tally
 from tauext.monitor.explanation import unseen_words
 from tauext.monitor.flight_files import FlightCount, FlightNews
 from tauext.monitor.monitored_time import Monitored, percent
-from tauext.monitor.replay import Chunk, Tally
 from tauext.progress import in_plain_letters
 
 if TYPE_CHECKING:
@@ -28,10 +28,6 @@ if TYPE_CHECKING:
     from tauext.monitor.record_sink import RecordCount
     from tauext.monitor.source import SourceCounts
 
-WARNS_FROM = 0.01
-"""Share of the motion that is unfamiliar: of motion like that of training a few thousandths may be."""
-MOST_UNFAMILIAR = 3
-"""Largest number of kinds of unfamiliar motion that the summary lists."""
 MOST_BEHIND_LINES = 10
 """About collisions behind one alarm that stands."""
 
@@ -257,12 +253,12 @@ def summary_lines(tally: Tally, flights: FlightCount, folder: Path | None, timin
 
 def unfamiliar_text(tally: Tally) -> str:
     """Share of the motion that training never saw, its kinds, and what to do if it is intended."""
-    most = tally.unfamiliar.most_common(MOST_UNFAMILIAR)
+    most = tally.unfamiliar.most_common(3)
     words = [f"{unseen_words(unseen, tally.joints)} {count / tally.samples:.2%}" for unseen, count in most]
     more = len(tally.unfamiliar) - len(most)
     text = f"{tally.unfamiliar_share:.2%} of the motion was not in the training data: {', '.join(words)}"
     text += f" and {more} more" if more else ""
-    if tally.unfamiliar_share < WARNS_FROM:
+    if tally.unfamiliar_share < 0.01:  # of motion like that of training a few thousandths may be unfamiliar
         return text
     return (
         f"{text}. WARNING: estimates may be wrong there, and limits are up to 1.5 times as high; train with such motion"

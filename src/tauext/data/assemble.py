@@ -12,13 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from tauext.data.clock import Table, expect_clock
+from tauext.data.clock import RowRules, Table, expect_clock
 from tauext.data.description import NORMALISED, SIGNALS, Arm, SignalTable
 from tauext.data.importers.raw import RawRecording, short_list
 from tauext.data.raw_rows import Columns, RowReader
 from tauext.data.recording import (
     BRIDGE_STEPS,
     REPEATED,
+    REQUIRED_SIGNALS,
     TURN,
     Recording,
     fitted_period_ns,
@@ -58,16 +59,13 @@ def find_columns(arm: Arm, raw: RawRecording) -> Columns:
     for stream, names in found.values():
         wanted.setdefault(stream, {}).update(dict.fromkeys(names))
     streams = {stream: tuple(names) for stream, names in wanted.items()}
-    places = {name: (stream, [streams[stream].index(n) for n in names]) for name, (stream, names) in found.items()}
-    return Columns(streams, places)
+    indices = {name: (stream, [streams[stream].index(n) for n in names]) for name, (stream, names) in found.items()}
+    return Columns(streams, indices)
 
 
 def logged_joints(arm: Arm, raw: RawRecording) -> tuple[str, ...]:
     """Joints that a raw recording names in the columns of position and torque; those that it numbers, if more are there
     than in use, by column; empty where columns are listed one by one.
-
-    Raises:
-        ConfigError: a topic is missing.
     """
     there = raw.streams
     named: list[dict[str, None]] = []
@@ -108,32 +106,29 @@ def _stream(arm: Arm, raw: RawRecording, there: Mapping[str, Sequence[str]], top
 def _resolved(
     arm: Arm, raw: RawRecording, table: str, columns: tuple[str, ...], there: Sequence[str]
 ) -> tuple[str, ...]:
-    if len(columns) > 1:
-        return _exact(arm, raw, table, columns, there)
-    (one,) = columns
-    if any(f"{{{key}}}" in one for key in ("joint", "index", "number")):
-        spelled = [
+    one = columns[0]
+    if len(columns) == 1 and re.search(r"\{(joint|index|number)\}", one):
+        columns = tuple(
             one.replace("{joint}", name).replace("{index}", str(k)).replace("{number}", str(k + 1))
             for k, name in enumerate(arm.names)
-        ]
-        return _exact(arm, raw, table, tuple(spelled), there)
-    by_name = tuple(f"{one}[{name}]" for name in arm.names)
-    if all(name in there for name in by_name):
-        return by_name
-    elements = [name for name in there if name.startswith(f"{one}[")]
-    by_index = tuple(f"{one}[{k}]" for k in range(len(arm.names)))
-    if elements and set(elements) == set(by_index):
-        return by_index
-    if elements:
-        held = [name.removeprefix(f"{one}[").removesuffix("]") for name in elements]
-        raise ConfigError(
-            f"{arm.path}: [{table}] columns = '{one}': in {raw.path.name} its elements are {short_list(held, 16)}; "
-            f'[robot] names (or joints) are {", ".join(arm.names)}: name them as the recording does, or by "{one}'
-            f'[{{index}}]"{"".join(f"; {note}" for note in raw.notes)}'
         )
-    if len(arm.names) == 1 and one in there:
-        return (one,)
-    raise _missing(arm, raw, table, one, there)
+        return _exact(arm, raw, table, columns, there)
+    elements = [name for name in there if name.startswith(f"{one}[")]
+    if len(columns) == 1 != len(arm.names) and not elements:
+        raise _missing(arm, raw, table, one, there)
+    if len(columns) > 1 or not elements:
+        return _exact(arm, raw, table, columns, there)
+    by_name, by_index = (tuple(f"{one}[{label}]" for label in labels) for labels in (arm.names, range(len(arm.names))))
+    if all(name in elements for name in by_name):
+        return by_name
+    if set(elements) == set(by_index):
+        return by_index
+    listed = short_list([name.removeprefix(f"{one}[").removesuffix("]") for name in elements], 16)
+    raise ConfigError(
+        f"{arm.path}: [{table}] columns = '{one}': in {raw.path.name} its elements are {listed}; [robot] names (or "
+        f'joints) are {", ".join(arm.names)}: name them as the recording does, or by "{one}'
+        f'[{{index}}]"{"".join(f"; {note}" for note in raw.notes)}'
+    )
 
 
 def _exact(arm: Arm, raw: RawRecording, table: str, names: tuple[str, ...], there: Sequence[str]) -> tuple[str, ...]:
@@ -278,18 +273,15 @@ def derived_velocity(t_ns: np.ndarray, q: np.ndarray, low_pass_hz: float) -> np.
 # --- Raw signals and a robot description to recordings; provenance lists every change of the numbers.
 
 
-WORTH_REPORTING = 1e-3
-"""Share of lost samples from which the loss is reported."""
-MEASURED = ("q", "dq", "tau")
-
-
-def assemble(raw: RawRecording, arm: Arm, robot_sha256: str = "", rate_hz: float = 0.0) -> Iterator[Recording]:
+def assemble(
+    raw: RawRecording, arm: Arm, robot_sha256: str = "", rate_hz: float = 0.0, rules: RowRules = RowRules()
+) -> Iterator[Recording]:
     """Convert a raw recording to recordings in order of time.
 
-    A clock that begins again begins another recording, and a long recording gives several (PIECE_S, PIECE_ROWS). Each
-    is sorted, merged onto one clock and converted to rad, rad/s and N m at the joint. Its provenance lists the changes
-    (`done`: sentences; `counts`: numbers), and `start_s`, the time from the first sample of the file; runs whose clock
-    begins again follow each other without a pause.
+    A clock that begins again begins another recording, and a long recording gives several (RowRules). Each is sorted,
+    merged onto one clock and converted to rad, rad/s and N m at the joint. Its provenance lists the changes (`done`:
+    sentences; `counts`: numbers), and `start_s`, the time from the first sample of the file; runs whose clock begins
+    again follow each other without a pause.
 
     Args:
         rate_hz: nominal rate; 0: the description's, else that of the fitted sample period.
@@ -300,7 +292,7 @@ def assemble(raw: RawRecording, arm: Arm, robot_sha256: str = "", rate_hz: float
             no valid recording.
     """
     columns = find_columns(arm, raw)
-    reader = RowReader(raw, arm, columns)
+    reader = RowReader(raw, arm, columns, rules)
     rate_hz = rate_hz or arm.time.rate_hz
     start_ns: int | None = None
     number, run, end_ns = 0, 0, 0
@@ -413,7 +405,7 @@ def _done(
     done = [*raw.notes, *(f"{n} {text}" for text, n in counts.items()), *conversions(arm)]
     if "measured_hz" in facts:
         done.append(f"{facts['measured_hz']:.4g} samples a second are new measurements, the others repeat them")
-    if facts["lost_share"] >= WORTH_REPORTING:
+    if facts["lost_share"] >= 1e-3:
         done.append(f"{facts['lost_share']:.1%} of the samples at {nominal_hz:.4g} Hz are missing: gaps")
     if "unwrapped" in facts:
         done.append(f"position unwrapped: it jumped by whole turns ({', '.join(facts['unwrapped'])})")
@@ -441,7 +433,7 @@ class _Turns:
 
     def __init__(self, arm: Arm, columns: Columns):
         self._joints = arm.robot.joints
-        self._places = {
+        self._columns = {
             key: (*columns.signals[key], TURN / SIGNALS[key].units[arm.signals[key].unit])
             for key in ("q", "q_des")
             if key in columns.signals and arm.signals[key].unit != NORMALISED
@@ -453,19 +445,19 @@ class _Turns:
     def taken_out(self, stream: str, table: Table) -> Table:
         """The rows with continuous positions."""
         t_ns, values = table
-        for key, (at, places, turn) in self._places.items():
+        for key, (at, indices, turn) in self._columns.items():
             if at != stream or not len(values):
                 continue
-            before = self._before.get(key, values[:1, places])
-            q, counts = unwrapped(np.vstack([before, values[:, places]]) * (TURN / turn))
+            before = self._before.get(key, values[:1, indices])
+            q, counts = unwrapped(np.vstack([before, values[:, indices]]) * (TURN / turn))
             jumped = np.flatnonzero(counts)
             if len(jumped):
                 values = values.copy()
-                values[:, [places[j] for j in jumped]] = q[1:, jumped] * (turn / TURN)
+                values[:, [indices[j] for j in jumped]] = q[1:, jumped] * (turn / TURN)
                 if key == "q":
                     found = {*self.joints, *(self._joints[j] for j in jumped)}
                     self.joints = tuple(joint for joint in self._joints if joint in found)
-            self._before[key] = values[-1:, places]
+            self._before[key] = values[-1:, indices]
         return t_ns, values
 
 
@@ -474,9 +466,8 @@ def _cleaned(stream: str, table: Table, arm: Arm, columns: Columns, counts: Coun
     before = counts[REPEATED]
     t_ns, values = ordered(*table, counts)
     expect_clock(table[0], counts[REPEATED] - before, remedy)
-    measured = [
-        k for key in MEASURED for k in columns.signals.get(key, ("", []))[1] if columns.signals[key][0] == stream
-    ]
+    signals = [columns.signals[key] for key in REQUIRED_SIGNALS if key in columns.signals]
+    measured = [k for at, indices in signals if at == stream for k in indices]
     if measured and len(t_ns):
         keep = fresh(t_ns, values[:, measured], arm.time.repeats == "drop", counts)
         t_ns, values = t_ns[keep], values[keep]
@@ -488,14 +479,14 @@ def _merged(
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Merge every signal onto the stamps of one stream, (samples, joints) each."""
     signals = {key: at for key, at in columns.signals.items() if key != "time"}
-    essential = list(dict.fromkeys(signals[key][0] for key in MEASURED if key in signals))
+    essential = list(dict.fromkeys(signals[key][0] for key in REQUIRED_SIGNALS if key in signals))
     leading = signals["tau" if "tau" in signals else "q"][0]
     base = base_stream(tables, leading, essential)
     t_ns = tables[base][0]
     known = np.ones(len(t_ns), bool)
     values = {}
-    for key, (stream, places) in signals.items():
-        here = (tables[stream][0], tables[stream][1][:, places])
+    for key, (stream, indices) in signals.items():
+        here = (tables[stream][0], tables[stream][1][:, indices])
         if stream == base:
             values[key] = here[1]
         elif key == "contact":

@@ -13,18 +13,29 @@ from tauext.errors import RecordingError
 Table = tuple[np.ndarray, np.ndarray]
 """Stamps (samples,), [ns], and values (samples, columns)."""
 
-# --- Runs: a clock that goes back, or far ahead, begins a new recording.
 
+@dataclass(frozen=True)
+class RowRules:
+    """When rows of a raw recording begin a new recording, are left out, or refuse the file."""
 
-STEPS_BACK = 3.0
-"""A stamp further behind the newest is late, or begins a new run, [sample periods]; UDP exchanges neighbours."""
-LATE_S = 1.0
-"""Largest delay of a packet after its stamp at which it is still sorted in, [s]."""
-PAUSE_S = 600.0
-"""A longer step ahead begins a new run, [s]: a clock that was set, or a log that was continued."""
-SHORT_RUN = 10
-"""A run of fewer rows beside others is left out: no signal can be judged on it."""
-NO_STAMP = np.iinfo(np.int64).min // 2
+    steps_back: float = 3.0
+    """A stamp further behind the newest is late, or begins a new run, [sample periods]; UDP exchanges neighbours."""
+    late_s: float = 1.0
+    """Largest delay of a packet after its stamp at which it is still sorted in, [s]."""
+    pause_s: float = 600.0
+    """A longer step ahead begins a new run, [s]: a clock that was set, or a log that was continued."""
+    short_run: int = 10
+    """A run of fewer rows beside others is left out: no signal can be judged on it."""
+    piece_s: float = 600.0
+    """A longer raw recording becomes several recordings of about this length, [s] ..."""
+    piece_rows: int = 150_000
+    """... or about so many samples, whichever is less: memory stays bounded."""
+    most_waiting: int = 3_000_000
+    """Rows that are kept until the stamps go on: no arm is sampled as often within late_s."""
+    most_share: float = 0.2
+    """Share of rows left out or sorted above which the file is refused: it is not what the description states ..."""
+    least_refused: int = 10
+    """... and the least number: fewer refuse no file, whatever its length."""
 
 
 class Runs:
@@ -38,15 +49,17 @@ class Runs:
         left_out: called with the index of a row that is left out, counted from the stream's first.
     """
 
-    def __init__(self, left_out: Callable[[int], object]):
+    def __init__(self, left_out: Callable[[int], object], rules: RowRules = RowRules()):
         self.number = 0
         """Number of the present run, from 0."""
-        self._left_out = left_out
+        self._left_out, self._rules = left_out, rules
         self._held: Table | None = None
-        self._before = 0
-        self._first = self._newest = NO_STAMP
-        self._period = 0.0
-        self._recent = np.zeros(0, np.int64)
+        self._before, self._period = 0, 0.0
+        self._begin()
+
+    def _begin(self) -> None:
+        self._first: int | None = None
+        self._newest, self._recent = 0, np.zeros(0, np.int64)
 
     def split(self, table: Table | None) -> Iterator[tuple[int, Table]]:
         """Yield the rows with the number of their run; the last row waits for the next block, or for None."""
@@ -64,8 +77,7 @@ class Runs:
             yield from self._kept(parts, begin, stop, keep)
             if stop < end:
                 self.number += 1
-                self._first = self._newest = NO_STAMP
-                self._recent = self._recent[:0]
+                self._begin()
             begin = stop
         self._before += end
         self._held = None if table is None else (table[0][-1:], table[1][-1:])
@@ -77,19 +89,17 @@ class Runs:
             rows = slice(max(begin - before, 0), max(stop - before, 0))
             kept = keep[before : before + len(t_ns)][rows]
             before += len(t_ns)
-            if kept.all():
+            if kept.any():
                 part = t_ns[rows], values[rows]
-            else:
-                part = t_ns[rows][kept], values[rows][kept]
-            if len(part[0]):
-                yield self.number, part
+                yield self.number, (part if kept.all() else (part[0][kept], part[1][kept]))
 
     def _run_end(self, t_ns: np.ndarray, begin: int, end: int, keep: np.ndarray) -> int:
         """Index of the row that begins the next run, or `end`; clears `keep` of rows that are left out."""
-        if self._first == NO_STAMP:
+        if self._first is None:
             self._first = self._newest = int(t_ns[begin])
         newest = np.maximum.accumulate(np.r_[self._newest, t_ns[begin:end]])
-        back, late_ns, pause_ns = STEPS_BACK * self._period, LATE_S * 1e9, PAUSE_S * 1e9
+        back = self._rules.steps_back * self._period
+        late_ns, pause_ns = self._rules.late_s * 1e9, self._rules.pause_s * 1e9
         odd = (t_ns[begin:end] < newest[:-1] - back) | (t_ns[begin:end] > newest[:-1] + pause_ns)
         for k in np.flatnonzero(odd) + begin:
             front, now = int(newest[k - begin]), int(t_ns[k])
@@ -125,12 +135,8 @@ SHARED_STAMPS = 0.2
 """Share of rows with the stamp of the row before, and other values, from which the stamps are no clock."""
 DISAGREE = 0.02
 """Two rates that differ by a larger share contradict each other."""
-LEAST_DIFFERENCE_NS = 2e8
-"""Two clocks of one recording may differ by so much at its ends, [ns]: messages are logged in bursts."""
-SET_NS = 1e9
-"""A step that differs by more between two clocks is one of them being set, [ns]."""
-SLOWEST_HZ, FASTEST_HZ = 5.0, 20_000.0
-"""Rates of arms' logs; a clock that counts rows gives another one."""
+ARM_HZ = (5.0, 20_000.0)
+"""Least and largest rate of arms' logs; a clock that counts rows gives another one."""
 
 
 def expect_clock(t_ns: np.ndarray, repeated: int, remedy: str) -> None:
@@ -140,9 +146,6 @@ def expect_clock(t_ns: np.ndarray, repeated: int, remedy: str) -> None:
         t_ns: (samples,), one a row, [ns].
         repeated: rows whose stamp repeats that of the row before while the values differ.
         remedy: what to do instead, a clause.
-
-    Raises:
-        RecordingError: names the resolution of the stamps and the rate of the rows.
     """
     if repeated <= SHARED_STAMPS * len(t_ns) or repeated < 2:
         return
@@ -158,13 +161,9 @@ def expect_clock(t_ns: np.ndarray, repeated: int, remedy: str) -> None:
 
 
 def expect_no_counter(t_ns: np.ndarray, unit_ns: float, column: str) -> None:
-    """Refuse a column of times that counts rows: every step is one, at a rate that no log has.
-
-    Raises:
-        RecordingError: names the column and the remedy.
-    """
+    """Refuse a column of times that counts rows: every step is one, at a rate that no log has."""
     steps = np.diff(t_ns)
-    if len(steps) and (steps == unit_ns).all() and not SLOWEST_HZ <= 1e9 / unit_ns <= FASTEST_HZ:
+    if len(steps) and (steps == unit_ns).all() and not ARM_HZ[0] <= 1e9 / unit_ns <= ARM_HZ[1]:
         raise RecordingError(
             f"column '{column}' grows by exactly 1 a row: it counts rows and is no clock; give the rate of the rows "
             'instead ([time] column = "" and rate_hz), or the column\'s unit ([time] unit)'
@@ -177,9 +176,6 @@ def expect_same_rate(name: str, rate_hz: float, t_ns: np.ndarray, remedy: str) -
     Args:
         name: the entry that states the rate, as the message names it.
         remedy: what to do, a clause.
-
-    Raises:
-        RecordingError: names both.
     """
     if len(t_ns) < 3:
         return
@@ -198,14 +194,14 @@ class TwoClocks:
     def add(self, first: np.ndarray, second: np.ndarray) -> None:
         """Add the steps of a block's rows by both clocks, [ns]; those at which one is set are passed over."""
         steps = np.diff(first), np.diff(second)
-        counts = (steps[0] >= 0) & (steps[1] >= 0) & (np.abs(steps[0] - steps[1]) < SET_NS)
+        counts = (steps[0] >= 0) & (steps[1] >= 0) & (np.abs(steps[0] - steps[1]) < 1e9)
         for k in (0, 1):
             self.counted_ns[k] += float(steps[k][counts].sum())
 
     def expect_same(self) -> None:
         """Raise RecordingError where the clocks differ; the message names both and how to choose one."""
         a, b = self.counted_ns
-        if abs(a - b) > max(DISAGREE * min(a, b), LEAST_DIFFERENCE_NS):
+        if abs(a - b) > max(DISAGREE * min(a, b), 2e8):  # messages are logged in bursts, which differ at the ends
             one, other = self.names
             raise RecordingError(
                 f"its two clocks disagree: {one} counts {a * 1e-9:.5g} s, {other} {b * 1e-9:.5g} s for the same rows, "

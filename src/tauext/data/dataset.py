@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
@@ -55,11 +56,8 @@ class Split:
                 if not isinstance(name, str) or name in ("", "..") or Path(name).name != name:
                     raise ConfigError(f"split: {name!r} in '{set_name}' must be a file name without a folder")
                 if name in where:
-                    sets = (
-                        f"twice in '{set_name}'"
-                        if where[name] == set_name
-                        else f"in '{where[name]}' and in '{set_name}'"
-                    )
+                    both = f"in '{where[name]}' and in '{set_name}'"
+                    sets = f"twice in '{set_name}'" if where[name] == set_name else both
                     raise ConfigError(f"split: '{name}' is {sets}; a recording belongs to one set only")
                 where[name] = set_name
 
@@ -125,7 +123,7 @@ def load_split(folder: Path | str) -> Split:
     content = read_json(path, "there is no such file; a dataset folder holds one beside its recordings")
     expect_format(content, path, "import or simulate the dataset again")
     split = read_table(Split, {key: value for key, value in content.items() if key != "format"}, f"{path}:")
-    there = {place.name for place in folder.iterdir() if place.is_file()}
+    there = {path.name for path in folder.iterdir() if path.is_file()}
     for set_name in SETS:
         for name in getattr(split, set_name):
             if name not in there:
@@ -136,8 +134,6 @@ def load_split(folder: Path | str) -> Split:
 # --- Recordings in stretches that fit into memory, with read-ahead.
 
 
-HEADS_AT_A_TIME = 8
-"""Number of file headers read in parallel."""
 FOR_LIMITS = ("temperature", "contact")
 """Optional signals that limits and the quick checks need."""
 
@@ -154,17 +150,16 @@ def stretches(files: Sequence[Path], signals: Collection[str] | None = FOR_LIMIT
     Raises:
         RecordingError: a file cannot be read or is no recording.
     """
-    with ThreadPoolExecutor(HEADS_AT_A_TIME) as pool:
+    with ThreadPoolExecutor(8) as pool:
         samples = [head.samples for head in pool.map(describe, files)]
     loaders: list[Callable[[], Recording]] = []
     for file, count in zip(files, samples, strict=True):
         parts = max(1, -(-count // ROW_GROUP))
         if parts == 1:
             loaders.append(partial(load_recording, file, signals))
-        else:
-            ends = [count * k // parts for k in range(parts + 1)]
-            rows = zip(ends, ends[1:], strict=False)
-            loaders += [partial(load_stretch, file, signals, first, end, k) for k, (first, end) in enumerate(rows)]
+            continue
+        rows = pairwise(count * k // parts for k in range(parts + 1))
+        loaders += [partial(load_stretch, file, signals, first, end, k) for k, (first, end) in enumerate(rows)]
     return loaders
 
 

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 Side = Literal["joint", "motor"]
 Repeats = Literal["drop", "keep"]
-CURRENTS = ("A", "mA")
 NORMALISED = "normalised"
 """LeRobot's -100 to 100 over the range of its calibration; 0 to 100 of a gripper."""
 TIME_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
@@ -124,7 +123,7 @@ class SignalTable:
     @property
     def is_current(self) -> bool:
         """Whether it is a motor current, [A]."""
-        return self.unit in CURRENTS
+        return self.unit in _AMPERES
 
 
 class Signal(NamedTuple):
@@ -137,47 +136,45 @@ class Signal(NamedTuple):
     help: str
 
 
-ANGLES = {"rad": 1.0, "deg": math.pi / 180, "normalised": 1.0}
-TORQUES = {"Nm": 1.0, "mNm": 1e-3, "kNm": 1e3}
-AMPERES = {"A": 1.0, "mA": 1e-3}
-MEASURED = ("columns", "topic", "unit")
-SIGNED = (*MEASURED, "sign")
+_ANGLES = {"rad": 1.0, "deg": math.pi / 180, "normalised": 1.0}
+_TORQUES = {"Nm": 1.0, "mNm": 1e-3, "kNm": 1e3}
+_AMPERES = {"A": 1.0, "mA": 1e-3}
+_MEASURED = ("columns", "topic", "unit")
+_SIGNED = (*_MEASURED, "sign")
 SIGNALS = {
     "q": Signal(
-        ANGLES,
-        (*SIGNED, "side", "offset"),
+        _ANGLES,
+        (*_SIGNED, "side", "offset"),
         "Joint position; normalised: LeRobot's -100 to 100, which needs [robot] calibration.",
     ),
     "dq": Signal(
         {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30},
-        (*SIGNED, "side", "low_pass_hz"),
+        (*_SIGNED, "side", "low_pass_hz"),
         'Joint velocity. Without columns (""): derived from the position, through a first-order low-pass.',
     ),
     "tau": Signal(
-        TORQUES | AMPERES,
-        (*SIGNED, "side", "torque_constant", "timing"),
+        _TORQUES | _AMPERES,
+        (*_SIGNED, "side", "torque_constant", "timing"),
         "Motor torque with friction not subtracted, or motor current. Positive where the motor drives the joint in its "
         "positive direction.",
     ),
-    "q_des": Signal(ANGLES, (*SIGNED, "side", "offset"), "Commanded position. Optional; keys as of q."),
+    "q_des": Signal(_ANGLES, (*_SIGNED, "side", "offset"), "Commanded position. Optional; keys as of q."),
     "tau_ext": Signal(
-        TORQUES,
-        SIGNED,
+        _TORQUES,
+        _SIGNED,
         "External torque as the robot itself estimates it, to compare with; positive where the environment pushes the "
         "joint in its positive direction (sign = -1 reverses it). Optional.",
     ),
-    "temperature": Signal({"degC": 1.0}, MEASURED, "Motor temperature. Optional."),
+    "temperature": Signal({"degC": 1.0}, _MEASURED, "Motor temperature. Optional."),
     "current": Signal(
-        AMPERES,
-        SIGNED,
-        "Current as a servo reports it: of its windings or of its supply, see [servo]. Optional.",
+        _AMPERES, _SIGNED, "Current as a servo reports it: of its windings or of its supply, see [servo]. Optional."
     ),
     "duty": Signal(
         {"1": 1.0, "%": 0.01, "permille": 0.001},
-        SIGNED,
+        _SIGNED,
         "Share of the supply voltage at a servo's motor, from -1 to 1; Feetech: load, Dynamixel: PWM. Optional.",
     ),
-    "voltage": Signal({"V": 1.0, "mV": 1e-3}, MEASURED, "Supply voltage of a servo. Optional."),
+    "voltage": Signal({"V": 1.0, "mV": 1e-3}, _MEASURED, "Supply voltage of a servo. Optional."),
 }
 
 
@@ -319,9 +316,7 @@ class Arm:
     @property
     def model(self) -> Path | None:
         """The robot file; None: there is no model."""
-        if not self.robot.model:
-            return None
-        return self.path.parent / self.robot.model
+        return self.path.parent / self.robot.model if self.robot.model else None
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -354,13 +349,12 @@ class Arm:
         self._require(counts, table, "columns", list(signal.columns), f"as many as joints, {joints}")
         if name != "tau":
             return
-        constant = signal.torque_constant
+        constant: Any = signal.torque_constant
+        rule = f"left out, since the unit is {signal.unit}"
         if signal.is_current:
             rule = 'Nm/A, one a joint, or "unknown" (to be fitted), since the unit is a current\'s'
-            self._require(bool(constant), table, "torque_constant", list(constant), rule)
-        else:
-            rule = f"left out, since the unit is {signal.unit}"
-            self._require(not constant, table, "torque_constant", constant, rule)
+            constant = list(constant)
+        self._require(bool(constant) == signal.is_current, table, "torque_constant", constant, rule)
 
     @property
     def makes_torque(self) -> bool:
@@ -370,20 +364,15 @@ class Arm:
     def _check_servo(self, servo: ServoTable) -> None:
         if servo.torque_from == "torque":
             return
-        needed = NEEDS[servo.torque_from]
+        needed, chosen = NEEDS[servo.torque_from], f"[servo] torque_from = '{servo.torque_from}'"
         if needed not in self.signals:
-            raise ConfigError(
-                f"{self.path}: [servo] torque_from = '{servo.torque_from}' needs [signals.{needed}], which is missing"
-            )
+            raise ConfigError(f"{self.path}: {chosen} needs [signals.{needed}], which is missing")
         if self.signals["tau"].columns:
-            raise ConfigError(
-                f"{self.path}: [signals.tau] must be left out, since [servo] torque_from = '{servo.torque_from}' "
-                "makes it"
-            )
+            raise ConfigError(f"{self.path}: [signals.tau] must be left out, since {chosen} makes it")
         if servo.torque_from == "supply-current" and not {"q_des", "duty"} & set(self.signals):
             raise ConfigError(
-                f"{self.path}: [servo] torque_from = 'supply-current' has no sign: it uses that of [signals.duty], or "
-                "of goal minus position, [signals.q_des]; both are missing"
+                f"{self.path}: {chosen} has no sign: it uses that of [signals.duty], or of goal minus position, "
+                "[signals.q_des]; both are missing"
             )
 
     def _require(self, ok: bool, table: str, key: str, value: object, rule: str) -> None:
@@ -394,10 +383,8 @@ class Arm:
 # --- The file.
 
 
-TABLES = {
-    "robot": RobotTable, "payload": PayloadTable, "time": TimeTable, "servo": ServoTable, "contact": ContactTable,
-    "split": SplitTable,
-}  # fmt: skip
+_KINDS = (RobotTable, PayloadTable, TimeTable, ServoTable, ContactTable, SplitTable)
+TABLES: dict[str, type] = {kind.__name__.removesuffix("Table").lower(): kind for kind in _KINDS}
 
 
 def load_arm(path: Path | str, calibration: Path | None = None) -> Arm:
@@ -435,30 +422,22 @@ def open_entries(content: Any, table: str = "", key: str = "") -> list[str]:
     return [f"[{table}] {key} has '{content}'"] if guessed else []
 
 
-def _expect_confirmed(content: dict[str, Any], path: Path) -> None:
-    """Raise ConfigError where a guess of the template is neither confirmed nor replaced."""
-    entries = open_entries(content)
-    if entries:
+def _arm(content: dict[str, Any], path: Path, calibration: Path | None = None) -> Arm:
+    if entries := open_entries(content):
         raise ConfigError(
             f"{path}: {'; '.join(entries)}: the comment above each gives its evidence; remove the '{GUESSED}' where "
             "the guess is right, else replace it"
         )
-
-
-def _arm(content: dict[str, Any], path: Path, calibration: Path | None = None) -> Arm:
-    _expect_confirmed(content, path)
     expect_known(f"{path}:", content, (*TABLES, "signals"))
-    robot, signals = content.get("robot"), content.get("signals", {})
-    if robot is None:
+    signals = content.pop("signals", {})
+    if "robot" not in content:
         raise ConfigError(f"{path}: the table [robot] is missing")
     expect_known(f"{path}: [signals]", signals, SIGNALS)
+    robot = content["robot"]
     joints = robot.get("joints", []) if isinstance(robot, dict) else []
     joints = joints if isinstance(joints, list) else [joints]
-    read: dict[str, Any] = {
-        name: read_table(TABLES[name], table, f"{path}: [{name}]", joints)
-        for name, table in content.items()
-        if name != "signals"
-    }
+    tables = {name: (TABLES[name], table, f"{path}: [{name}]", joints) for name, table in content.items()}
+    read: dict[str, Any] = {name: read_table(*how) for name, how in tables.items()}
     given = {name: signals[name] for name in SIGNALS if name in signals}
     found = {name: _signal(name, table, f"{path}: [signals.{name}]", joints) for name, table in given.items()}
     found.setdefault("dq", SignalTable((), "rad/s"))

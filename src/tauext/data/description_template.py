@@ -42,8 +42,6 @@ GUESSES = {
     "label": r"(label|labels|contact|contacts|collision|collisions|touch)",
 }
 """Usual names of each signal, without joint and counter."""
-UNSURE = {"tau": _usual("m")}
-"""Of these, names that may mean something else: a motor, metres."""
 
 
 @dataclass
@@ -84,9 +82,7 @@ def guess(streams: Mapping[str, Sequence[str]], robot: Sequence[str] = ()) -> Gu
             fits = [g for g in fits if (groups[g] == 1) == single or (single and g in names)]
             if fits and signal not in found.columns:
                 # With torque and current in a file, prefer the torque, which needs no constant.
-                fits.sort(
-                    key=lambda group: (signal == "tau" and _is_current(group), _is_unsure(signal, group), len(group))
-                )
+                fits.sort(key=lambda one: (signal == "tau" and _is_current(one), _is_unsure(signal, one), len(one)))
                 found.columns[signal] = fits[0]
                 _explain(found, signal, fits, groups[fits[0]])
                 if signal == "q":
@@ -122,7 +118,7 @@ def _ask_for_missing(found: Guess, left: Mapping[str, int]) -> None:
         left: columns of no signal, and the number of each.
     """
     joints = [group for group, count in left.items() if count == found.count > 0]
-    for signal in () if not found.columns and not left else NEEDED:
+    for signal in NEEDED if found.columns or left else ():
         if signal in found.columns or (signal != "q" and _torque_source(found)) or (signal == "dq" and not joints):
             continue
         key = f"signals.{signal}.columns"
@@ -136,11 +132,8 @@ def _torque_source(found: Guess) -> str:
     """Source of a servo's torque, where no column holds the torque; empty: none."""
     if "q" not in found.columns or "tau" in found.columns:
         return ""
-    return next((source for signal, source in MADE_OF.items() if signal in found.columns), "")
-
-
-WIDE_RAD = 7.0
-"""Positions beyond this on two joints are degrees: cables allow an arm's joint about a turn each way."""
+    made_of = {"duty": "duty", "q_des": "goal"}  # best first
+    return next((source for signal, source in made_of.items() if signal in found.columns), "")
 
 
 RATE = "time.rate_hz"
@@ -162,9 +155,8 @@ def _guess_clock(guessed: Guess, block: RawSignals, raw: RawRecording) -> None:
     hints = raw.hints() + [f"positions and velocities fit about {rate_hz:.3g} rows a second"] * bool(rate_hz)
     if not column or column not in block.names:
         if block.t_ns is None:
-            guessed.why[RATE] = "; ".join(
-                ["no column of times: name it in column, or give the rate of the rows", *hints]
-            )
+            none = "no column of times: name it in column, or give the rate of the rows"
+            guessed.why[RATE] = "; ".join([none, *hints])
         elif raw.clocks[0] and not column:
             guessed.why["time.column"] = f"the stamps of the file, '{raw.clocks[0]}', are the clock"
         return
@@ -173,14 +165,11 @@ def _guess_clock(guessed: Guess, block: RawSignals, raw: RawRecording) -> None:
     ahead, unit = steps[steps > 0], time_unit(times)
     if not len(steps) or (steps < 0).mean() > 0.5:
         return  # the import names the order of the rows
-    why = ""
-    if not len(ahead):
-        why = f"'{column}' is constant"
-    elif (steps == 0).mean() > SHARED_STAMPS:
-        why = (
-            f"{len(steps) / len(ahead):.3g} rows share each stamp of '{column}', which resolves {np.median(ahead):.4g}"
-        )
-    elif (ahead == 1).all() and (not unit or _contradicts(rate_hz, 1e9 / TIME_UNITS[unit])):
+    why = "" if len(ahead) else f"'{column}' is constant"
+    if len(ahead) and (steps == 0).mean() > SHARED_STAMPS:
+        shared = len(steps) / len(ahead)
+        why = f"{shared:.3g} rows share each stamp of '{column}', which resolves {np.median(ahead):.4g}"
+    elif len(ahead) and (ahead == 1).all() and (not unit or _contradicts(rate_hz, 1e9 / TIME_UNITS[unit])):
         why = f"'{column}' grows by exactly 1 a row: it counts rows"
     if why:
         guessed.columns["time"] = ""
@@ -193,23 +182,18 @@ def _guess_clock(guessed: Guess, block: RawSignals, raw: RawRecording) -> None:
     guessed.values["time.unit"] = unit if sure else GUESSED + (unit or "s")
 
 
-FIT = 1.2
-"""Rates of the stamps and of positions with velocities that differ by a larger factor contradict each other ..."""
-ANGLE = 180 / np.pi
-"""... unless they differ by that of degrees, which check names."""
+def _contradicts(one_hz: float, other_hz: float, most: float = 1.2) -> bool:
+    """Whether a rate, 0 where it is unknown, differs from another one by a larger factor than `most`.
 
-
-def _contradicts(one_hz: float, other_hz: float) -> bool:
-    """Whether a rate, 0 where it is unknown, differs from another one by more than units of angle explain."""
-    if not one_hz:
-        return False
+    A factor of degrees to radians between them is no contradiction: check names it.
+    """
     ratio = one_hz / other_hz
-    return all(max(ratio / factor, factor / ratio) > FIT for factor in (1, ANGLE, 1 / ANGLE))
+    return bool(ratio) and all(max(ratio / factor, factor / ratio) > most for factor in (1, 180 / np.pi, np.pi / 180))
 
 
 def _rate_of_velocity(guessed: Guess, block: RawSignals) -> float:
     """Rows a second at which the velocity is the derivative of the position, [Hz]; 0: not to be found."""
-    q, dq = (block.columns[:, _places(guessed, block, signal)] for signal in ("q", "dq"))
+    q, dq = (block.columns[:, _indices(guessed, block, signal)] for signal in ("q", "dq"))
     if q.shape[1] == 0 or q.shape != dq.shape or len(q) < 100:
         return 0.0
     moved, mean = np.diff(q, axis=0), (dq[1:] + dq[:-1]) / 2
@@ -224,7 +208,7 @@ def _rate_of_velocity(guessed: Guess, block: RawSignals) -> float:
     return float(np.median(rates)) if rates else 0.0
 
 
-def _places(guessed: Guess, block: RawSignals, signal: str) -> list[int]:
+def _indices(guessed: Guess, block: RawSignals, signal: str) -> list[int]:
     """Columns of the block that the guessed pattern of a signal covers."""
     pattern = guessed.columns.get(signal, "")
     names = {"{joint}": "|".join(map(re.escape, guessed.joint_names)) or ".+", "{index}": r"\d+", "{number}": r"\d+"}
@@ -249,11 +233,11 @@ def time_unit(times: np.ndarray) -> str:
 
 
 def _guess_degrees(guessed: Guess, block: RawSignals) -> None:
-    places = _places(guessed, block, "q")
-    if not places or "deg" in guessed.columns["q"]:
+    indices = _indices(guessed, block, "q")
+    if not indices or "deg" in guessed.columns["q"]:
         return
-    largest = np.nanmax(np.abs(np.nan_to_num(block.columns[:, places])), axis=0)
-    if (largest > WIDE_RAD).sum() < min(2, len(places)):
+    largest = np.nanmax(np.abs(np.nan_to_num(block.columns[:, indices])), axis=0)
+    if (largest > 7.0).sum() < min(2, len(indices)):  # cables allow an arm's joint about a turn each way
         return
     guessed.values["signals.q.unit"] = f"{GUESSED}deg"
     guessed.why["signals.q.unit"] = f"positions reach {largest.max():.4g}"
@@ -262,7 +246,7 @@ def _guess_degrees(guessed: Guess, block: RawSignals) -> None:
         guessed.why["signals.dq.unit"] = "the unit of the positions, if they are in degrees; rad/s is the other choice"
 
 
-HEADER = """\
+_HEADER = """\
 # arm.toml: description of a robot and of its recordings.
 # A list has one entry a joint, in the order of [robot] joints; one number instead stands for all joints.
 # Unknown keys are refused. A key after # is not set: the line shows its default or an example.
@@ -272,8 +256,6 @@ NEEDED = {"q": "position", "dq": "", "tau": "effort"}
 """Signals of every arm.toml, with their default columns."""
 SHARED = [one.name for one in fields(SignalTable) if sum(one.name in signal.keys for signal in SIGNALS.values()) > 1]
 """Keys of several signals, explained once before them."""
-MADE_OF = {"duty": "duty", "q_des": "goal"}
-"""Sources of a servo's torque without a torque column, by the available signal; best first."""
 
 
 def template(guessed: Guess, model: str = "", joints: Sequence[str] = (), topics: Sequence[str] = ()) -> str:
@@ -303,7 +285,7 @@ def template(guessed: Guess, model: str = "", joints: Sequence[str] = (), topics
     for entry, value in guessed.values.items():
         table, _, key = entry.rpartition(".")
         (signals[table.removeprefix("signals.")] if table.startswith("signals.") else found[table])[key] = value
-    lines = HEADER.splitlines()
+    lines = _HEADER.splitlines()
     for name, kind in TABLES.items():
         evidence = {key.removeprefix(f"{name}."): words for key, words in why.items()}
         lines += table_lines(kind, name, kind.__doc__ or "", found.get(name), None, evidence, name in in_force)
@@ -337,18 +319,11 @@ def _joint_entries(guessed: Guess, joints: Sequence[str]) -> tuple[dict[str, Any
         return _numbered_entries(joints, arms, count)
     matched = match_joints(joints, logged)
     open_names = [name for name in matched.logged_left if not GRIPPER.search(name)]
-    used = [
-        name
-        for name in joints
-        if name in matched.pairs
-        or name in matched.proposed
-        or (open_names and name in matched.robot_left and name in arms)
-    ]
-    if not used:
-        used = arms
+    candidates = matched.robot_left if open_names else ()
+    known = {*matched.pairs, *matched.proposed, *(name for name in arms if name in candidates)}
+    used = [name for name in joints if name in known] or arms
     names = [matched.pairs.get(name) or GUESSED + matched.proposed.get(name, "") for name in used]
-    entries: dict[str, Any] = {"joints": used}
-    why = {}
+    entries, why = dict[str, Any](joints=used), {}
     if names != used:
         entries["names"] = names
         why["names"] = f"matched by {matched.rule}" if matched.rule else "names that are equal match"
@@ -401,10 +376,6 @@ def _shared_keys(topics: Sequence[str]) -> list[str]:
 
 
 JOINT = "{joint}"
-_Q = "(q|pos|position|positions|angle)"
-NAMED = (rf"{_Q}[_.](?P<joint>.+)", rf".*?(?P<joint>[^/]+)/{_Q}", rf"(?P<joint>.+?)[_. ]{_Q}")
-"""Columns of positions that contain the joint's name."""
-CARTESIAN = re.compile(r"[xyzw]|r[xyz]|q[xyzw]|roll|pitch|yaw", re.IGNORECASE)
 
 
 def _named_joints(names: Sequence[str], robot: Sequence[str]) -> tuple[str, ...]:
@@ -425,10 +396,11 @@ def _named_joints(names: Sequence[str], robot: Sequence[str]) -> tuple[str, ...]
                 continue
             if len(joints) > 1:
                 return joints
-    for pattern in NAMED:
+    q = "(q|pos|position|positions|angle)"
+    for pattern in (rf"{q}[_.](?P<joint>.+)", rf".*?(?P<joint>[^/]+)/{q}", rf"(?P<joint>.+?)[_. ]{q}"):
         joints = tuple(match["joint"] for name in names if (match := re.fullmatch(pattern, name, re.IGNORECASE)))
-        # q_d0 and q_des_0 are numbered goals, not joints.
-        none = rf"(d|{_GOAL})?_?\d*|{CARTESIAN.pattern}"
+        # q_d0 and q_des_0 are numbered goals, q_x is a coordinate: not joints.
+        none = rf"(d|{_GOAL})?_?\d*|[xyzw]|r[xyz]|q[xyzw]|roll|pitch|yaw"
         if len(joints) > 1 and not all(re.fullmatch(none, joint, re.IGNORECASE) for joint in joints):
             return joints
     return ()
@@ -438,17 +410,14 @@ def _groups(names: Sequence[str]) -> dict[str, int]:
     """Group names that differ only in one number or element: pattern and count; others stay single."""
     groups: dict[str, list[int]] = {}
     for name in names:
-        if match := re.fullmatch(r"(.+)\[[^\]]*\]", name):
-            groups.setdefault(match[1], []).append(0)
-        elif match := re.fullmatch(r"(.*?\D)(\d+)(\D*)", name):
-            groups.setdefault(f"{match[1]}{{#}}{match[3]}", []).append(int(match[2]))
-        else:
-            groups.setdefault(name, []).append(0)
-    spelled: dict[str, int] = {}
-    for pattern, numbers in groups.items():
-        key = "index" if min(numbers) == 0 else "number"
-        spelled[pattern.replace("{#}", f"{{{key}}}")] = len(numbers)
-    return spelled
+        pattern, number = re.sub(r"\[[^\]]*\]$", "", name) or name, 0
+        if pattern == name and (match := re.fullmatch(r"(.*?\D)(\d+)(\D*)", name)):
+            pattern, number = f"{match[1]}{{#}}{match[3]}", int(match[2])
+        groups.setdefault(pattern, []).append(number)
+    return {
+        pattern.replace("{#}", "{number}" if min(numbers) else "{index}"): len(numbers)
+        for pattern, numbers in groups.items()
+    }
 
 
 def _is_part(group: str, names: Sequence[str]) -> bool:
@@ -462,7 +431,8 @@ def _is_current(pattern: str) -> bool:
 
 
 def _is_unsure(signal: str, pattern: str) -> bool:
-    return signal in UNSURE and re.fullmatch(UNSURE[signal], _bare(pattern), re.IGNORECASE) is not None
+    """Whether the name may mean something else: a motor, metres."""
+    return signal == "tau" and re.fullmatch(_usual("m"), _bare(pattern), re.IGNORECASE) is not None
 
 
 def _bare(pattern: str) -> str:

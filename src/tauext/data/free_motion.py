@@ -12,8 +12,6 @@ from tauext.config import FreeMotionConfig
 from tauext.data.recording import FLAGS, SIGNALS, Recording, runs_of
 from tauext.errors import TrainingError
 
-# --- Part of a recording as a new recording.
-
 
 def cut(recording: Recording, span: slice | np.ndarray) -> Recording:
     """Return part of a recording under its name: a slice or the flagged samples, at least one."""
@@ -38,9 +36,6 @@ def within(recording: Recording, from_s: float, to_s: float, name: str) -> Recor
     return recording if len(rows) == recording.samples else between(recording, rows[0], rows[-1] + 1, name)
 
 
-# --- The beginning of a set of recordings, to train on minutes.
-
-
 def length_s(recording: Recording) -> float:
     """Duration of its samples, [s]: one sample period more than from the first to the last."""
     return recording.duration_s + 1 / recording.rate_hz
@@ -57,35 +52,23 @@ def first_seconds(recordings: Sequence[Recording], seconds: float) -> list[Recor
     for recording in recordings:
         if left < 1 / recording.rate_hz:
             break
-        whole = length_s(recording) <= left + 1e-6
-        taken.append(recording if whole else cut(recording, slice(0, _samples(recording, left))))
+        whole, samples = length_s(recording) <= left + 1e-6, int((recording.time_s < left - 1e-6).sum())
+        taken.append(recording if whole else cut(recording, slice(0, samples)))
         left -= length_s(recording)
     return taken
 
 
-def _samples(recording: Recording, seconds: float) -> int:
-    return int((recording.time_s < seconds - 1e-6).sum())
+def standing_joints(recordings: Iterable[Recording], range_rad: float = 0.02) -> np.ndarray:
+    """Whether each joint stands still in every recording, (joints,) bool; at least one recording.
 
-
-# --- Joints that never move.
-
-
-STANDING_RAD = 0.02
-"""Largest position range of a joint that stands still, in every recording, [rad]. The speed is no evidence: a standing
-arm's may be noise of 0.05 rad/s."""
-
-
-def standing_joints(recordings: Iterable[Recording]) -> np.ndarray:
-    """Whether each joint stands still in every recording, (joints,) bool; at least one recording."""
-    return np.all([np.ptp(recording.q, axis=0) < STANDING_RAD for recording in recordings], axis=0)
+    Args:
+        range_rad: largest range of its positions, [rad]. The speed is no evidence: a standing arm's may be noise of
+            0.05 rad/s.
+    """
+    return np.all([np.ptp(recording.q, axis=0) < range_rad for recording in recordings], axis=0)
 
 
 # --- Free motion of recordings, and splits by time.
-
-
-SHORTEST_S = 1.0
-"""Least length of a stretch that is kept, [s]."""
-MARGINS = FreeMotionConfig()
 
 
 def has_contact(recording: Recording) -> bool:
@@ -93,7 +76,7 @@ def has_contact(recording: Recording) -> bool:
     return recording.contact is not None and bool((recording.contact == 1).any())
 
 
-def free_samples(recording: Recording, margins: FreeMotionConfig = MARGINS) -> np.ndarray:
+def free_samples(recording: Recording, margins: FreeMotionConfig = FreeMotionConfig()) -> np.ndarray:  # noqa: B008
     """Whether each sample is free motion: no contact there nor within the margins, (samples,) bool.
 
     Samples with an unknown label are not free, unless the whole recording is unlabelled.
@@ -104,7 +87,10 @@ def free_samples(recording: Recording, margins: FreeMotionConfig = MARGINS) -> n
     return (contact == 0) & _far_from(contact == 1, recording.t_ns, margins.before_s, margins.after_s)
 
 
-def free_pieces(recordings: Iterable[Recording], margins: FreeMotionConfig = MARGINS) -> list[Recording]:
+def free_pieces(
+    recordings: Iterable[Recording],
+    margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008
+) -> list[Recording]:
     """Return the free motion: recordings without contact unchanged, else their free stretches of a second or more.
 
     Each stretch is a recording of the same name. Filters and windows restart in each, so none reaches into a contact.
@@ -115,7 +101,7 @@ def free_pieces(recordings: Iterable[Recording], margins: FreeMotionConfig = MAR
         if free.all():
             pieces.append(recording)
             continue
-        pieces += [cut(recording, slice(*run)) for run in _runs(free, recording.t_ns, SHORTEST_S)]
+        pieces += [cut(recording, slice(*run)) for run in _runs(free, recording.t_ns, 1.0)]
     return pieces
 
 
@@ -181,9 +167,6 @@ def _runs(free: np.ndarray, t_ns: np.ndarray, least_s: float) -> list[tuple[int,
 MOST_SHARE = 1e-3
 """Largest share of impossible samples. More are no glitches but a wrong unit or conversion or a broken encoder. Bounds
 follow from the largest values without this share, so they cannot hold with more."""
-LISTED = 3
-"""Number of samples named in a message; provenance names more."""
-KEPT = 100
 
 
 @dataclass(frozen=True)
@@ -270,13 +253,13 @@ class LeftOut:
         return f"left out {samples} of the {self.what} recordings: {self._listed()}"
 
     def facts(self) -> dict:
-        """Number and first KEPT samples, for provenance."""
-        return {"samples": len(self.found), "of": self.samples, "listed": [asdict(one) for one in self.found[:KEPT]]}
+        """Number and first samples, for provenance."""
+        return {"samples": len(self.found), "of": self.samples, "listed": [asdict(one) for one in self.found[:100]]}
 
     def _listed(self) -> str:
-        more = len(self.found) - LISTED
+        more = len(self.found) - 3
         others = f" and {more} more in {self.recordings} recording{'s' * (self.recordings > 1)}" if more > 0 else ""
-        return ", ".join(map(str, self.found[:LISTED])) + others
+        return ", ".join(map(str, self.found[:3])) + others
 
 
 def possible_parts(

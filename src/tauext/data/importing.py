@@ -6,17 +6,17 @@ import difflib
 import math
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, count
 from pathlib import Path
 
 from tauext.data.assemble import assemble, logged_joints
 from tauext.data.dataset import SETS, Split, save_split, split_recordings
 from tauext.data.description import Arm, load_arm
 from tauext.data.free_motion import free_stretches, has_contact, length_s, within
-from tauext.data.importers.damaged import whole
 from tauext.data.importers.open_raw import exporting, open_raw
-from tauext.data.importers.raw import RawRecording
+from tauext.data.importers.raw import RawRecording, whole
 from tauext.data.joint_names import expect_all_placed
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
@@ -33,15 +33,8 @@ from tauext.robot.write import Payload, write_placeholder, write_robot
 # --- Sets of the stretches of a raw recording: listed in the description, or by a reported rule.
 
 
-WHOLE_FROM = 6
-"""Fewest sources without labelled contacts that are split as whole recordings; fewer are split by time."""
-WHOLE_SETS = ("train", "validation", "test")
-FREE_SHARES = {"train": 0.8, "test": 0.2}
-TOUCHED_SHARES = {"train": 0.75, "collisions": 0.25}
-"""Shares of each source that is split by time. No validation: the end of a run repeats the motion of its beginning, and
-`tauext train` does better by cross-validation on all of it."""
-LEAST_SET_S = 2.0
-"""A window and the observer's warm-up must fit into a set, [s]."""
+LEAST_S = 2.0
+"""Least length of a set, and of a stretch between contacts, [s]: a window and the observer's warm-up must fit in."""
 
 
 @dataclass(frozen=True)
@@ -68,16 +61,19 @@ class Claim:
         return f"{self.raw}[{self.from_s:.4g}:{'' if self.to_s == math.inf else f'{self.to_s:.4g}'}]"
 
 
-def plan(arm: Arm, raws: Mapping[str, RawFacts], files: Mapping[str, Sequence[str]]) -> tuple[list[Claim], list[str]]:
+def plan(
+    arm: Arm, raws: Mapping[str, RawFacts], files: Mapping[str, Sequence[str]], whole_from: int = 6
+) -> tuple[list[Claim], list[str]]:
     """Assign the raw recordings to sets; also returns sentences that name the rule.
 
-    With [split], the sets are as listed. Else sources with contacts go to collisions; others are split whole (6 or
-    more, some for validation) or each by time with a gap. If all have contacts, each is split by time and its end goes
-    to collisions.
+    With [split], the sets are as listed. Else sources with contacts go to collisions; others are split whole (some for
+    validation) or, where they are few, each by time with a gap. If all have contacts, each is split by time and its end
+    goes to collisions.
 
     Args:
         raws: raw recordings, by name.
         files: names of the raw recordings in each file, by file name.
+        whole_from: fewest sources without labelled contacts that are split whole.
 
     Raises:
         ConfigError: a listed source is missing, or a stretch is in two sets.
@@ -86,26 +82,27 @@ def plan(arm: Arm, raws: Mapping[str, RawFacts], files: Mapping[str, Sequence[st
         return _listed(arm, raws, files)
     touched = [name for name, facts in raws.items() if facts.touched]
     free = [name for name in raws if name not in touched]
-    gap_s = arm.split.gap_s
     notes: list[str] = []
-    short: list[str] = []
     claims = [Claim("collisions", name) for name in touched] if free else []
-    if len(free) >= WHOLE_FROM:
-        split = split_recordings(free, seed=0, minimum=WHOLE_FROM)
-        claims += [Claim(set_name, name) for set_name in WHOLE_SETS for name in getattr(split, set_name)]
+    if len(free) >= whole_from:
+        split = split_recordings(free, seed=0, minimum=whole_from)
+        claims += [Claim(one, name) for one in ("train", "validation", "test") for name in getattr(split, one)]
         notes.append(f"{len(free)} sources without labelled contacts, split as whole recordings")
     else:
-        shares = FREE_SHARES if free else TOUCHED_SHARES
+        # No validation: the end of a run repeats the motion of its beginning, and `tauext train` does better by
+        # cross-validation on all of it.
+        shares = {"train": 0.8, "test": 0.2} if free else {"train": 0.75, "collisions": 0.25}
         spans = [(name, 0.0, raws[name].duration_s) for name in free or touched]
-        claims += _by_time(arm, spans, shares, short)
+        parts, short = _by_time(arm, spans, shares)
+        claims += parts
         listed = ", ".join(f"{set_name} {share:.0%}" for set_name, share in shares.items())
-        count = f"{len(spans)} source{'s' * (len(spans) > 1)}"
+        sources = f"{len(spans)} source{'s' * (len(spans) > 1)}"
         kind = "without labelled contacts" if free else "with contacts, as all are"
         notes.append(
-            f"{count} {kind}: each split by time ({listed}) with a gap of {gap_s:g} s between the parts; test and "
-            "training come from one run, so errors on the test set are optimistic"
+            f"{sources} {kind}: each split by time ({listed}) with a gap of {arm.split.gap_s:g} s between the parts; "
+            "test and training come from one run, so errors on the test set are optimistic"
         )
-        notes += short
+        notes += [f"too short to be split by time, whole in train: {', '.join(short)}"] * bool(short)
     if not free:  # free parts of the collisions' stretch are held-out free motion
         claims += [Claim("test", c.raw, c.from_s, c.to_s) for c in claims if c.set_name == "collisions"]
     if free and touched:
@@ -159,57 +156,35 @@ def _parsed(
 
 
 def _by_time(
-    arm: Arm, spans: Sequence[tuple[str, float, float]], shares: Mapping[str, float], notes: list[str]
-) -> list[Claim]:
+    arm: Arm, spans: Sequence[tuple[str, float, float]], shares: Mapping[str, float]
+) -> tuple[list[Claim], list[str]]:
     """Cut each span into successive claims of these shares, with gaps that belong to no set.
 
-    A span that would give a set of less than 2 s goes whole to the first set, and a note reports it.
-
-    Raises:
-        ConfigError: all spans are too short.
+    A span that would give a set of less than 2 s goes whole to the first set; their names are returned too.
     """
-    gap_s = arm.split.gap_s
+    gap_s, first = arm.split.gap_s, next(iter(shares))
     claims, short = [], []
     for name, from_s, to_s in spans:
         of_span, begin = [], from_s
         for k, (set_name, share) in enumerate(shares.items()):
             end = begin + share * (to_s - from_s)
-            last = k == len(shares) - 1
-            span = begin + (gap_s / 2 if k else 0), to_s if last else end - gap_s / 2
+            span = begin + (gap_s / 2 if k else 0), to_s if k == len(shares) - 1 else end - gap_s / 2
             of_span.append(Claim(set_name, name, *(round(at, 6) for at in span)))
             begin = end
-        if min(c.to_s - c.from_s for c in of_span) < LEAST_SET_S:
+        if min(c.to_s - c.from_s for c in of_span) < LEAST_S:
             short.append(name)
-            of_span = [Claim(next(iter(shares)), name, from_s, to_s)]
+            of_span = [Claim(first, name, from_s, to_s)]
         claims += of_span
     if len(short) == len(spans):
         longest = max(to_s - from_s for _, from_s, to_s in spans)
         raise ConfigError(
-            f"{', '.join(short)}: {longest:.1f} s are too short to be split by time into parts of at least "
-            f"{LEAST_SET_S:g} s with gaps of {gap_s:g} s; record more, lower gap_s, or list whole files in [split]"
+            f"{', '.join(short)}: {longest:.1f} s are too short to be split by time into parts of at least {LEAST_S:g} "
+            f"s with gaps of {gap_s:g} s; record more, lower gap_s, or list whole files in [split]"
         )
-    if short:
-        notes.append(f"too short to be split by time, whole in {next(iter(shares))}: {', '.join(short)}")
-    return claims
+    return claims, short
 
 
 # --- From raw recordings to a dataset folder's recordings and split, with one piece in memory at a time.
-
-
-LEAST_FREE_S = 2.0
-"""Least length of a stretch between contacts, [s]: a window and the observer's warm-up must fit."""
-
-ROUNDED_S = 1.0
-"""Tolerance of an interval's end after its recording, [s]: it may be rounded up."""
-
-
-@dataclass
-class Imported:
-    """Result of an import."""
-
-    split: Split
-    notes: list[str] = field(default_factory=list)
-    """Sentences about the rule of the split and empty sets."""
 
 
 def recordings_of(
@@ -264,7 +239,7 @@ def expect_sources(arm: Arm, raws: Sequence[RawRecording]) -> None:
 def expect_within(arm: Arm, raw: RawRecording, end_s: float) -> None:
     """Raise ConfigError where a contact lies beyond the end of its recording."""
     for begin, end in arm.contact.intervals.get(raw.path.name, arm.contact.intervals.get(raw.name, ())):
-        if begin < 0 or begin >= end_s or end > end_s + ROUNDED_S:
+        if begin < 0 or begin >= end_s or end > end_s + 1.0:  # it may be rounded up
             raise ConfigError(
                 f"{arm.path}: [contact.intervals] '{raw.path.name}' = [{begin:g}, {end:g}] must lie within the "
                 f"recording, 0 to {end_s:.6g} s after its first sample"
@@ -273,8 +248,10 @@ def expect_within(arm: Arm, raw: RawRecording, end_s: float) -> None:
 
 def write_dataset(
     raws: Sequence[RawRecording], arm: Arm, robot_sha256: str, folder: Path, report: Callable[[Recording], object]
-) -> Imported:
-    """Write recordings and split.json; contacts are cut out of every set but collisions.
+) -> list[str]:
+    """Write recordings and split.json, and return sentences about the rule of the split and empty sets.
+
+    Contacts are cut out of every set but collisions.
 
     Args:
         folder: exists.
@@ -306,15 +283,11 @@ def write_dataset(
         notes.append("validation is empty: train finds limits by cross-validation on the training motion")
     for set_name in ("train", "test"):
         if not written[set_name]:
-            why = (
-                f"no stretch of {LEAST_FREE_S:g} s between contacts"
-                if any(c.set_name == set_name for c in claims)
-                else "no source"
-            )
+            claimed = any(c.set_name == set_name for c in claims)
+            why = f"no stretch of {LEAST_S:g} s between contacts" if claimed else "no source"
             notes.append(f"{set_name} is empty ({why}): this dataset suits uses without a {set_name} set")
-    split = Split(**{set_name: tuple(names) for set_name, names in written.items()})
-    save_split(split, folder)
-    return Imported(split, notes)
+    save_split(Split(**{set_name: tuple(names) for set_name, names in written.items()}), folder)
+    return notes
 
 
 def _cut(path: Path, claims: list[Claim], arm: Arm, written: dict[str, list[str]]) -> None:
@@ -330,10 +303,9 @@ def _cut(path: Path, claims: list[Claim], arm: Arm, written: dict[str, list[str]
             continue
         whole = [stretch]
         if claim.set_name != "collisions" and arm.contact.cut:
-            whole = free_stretches(stretch, arm.contact.before_s, arm.contact.after_s, LEAST_FREE_S)
+            whole = free_stretches(stretch, arm.contact.before_s, arm.contact.after_s, LEAST_S)
         for recording in whole:
-            if f"{recording.name}.parquet" in (name for names in written.values() for name in names):
-                recording = _renamed(recording, written)
+            recording = _renamed(recording, {name for names in written.values() for name in names})
             used += recording.name == piece.name
             if recording.name != piece.name:
                 save_recording(recording, path.with_name(f"{recording.name}.parquet"))
@@ -342,19 +314,14 @@ def _cut(path: Path, claims: list[Claim], arm: Arm, written: dict[str, list[str]
         path.unlink()
 
 
-def _renamed(recording: Recording, written: dict[str, list[str]]) -> Recording:
+def _renamed(recording: Recording, taken: Collection[str]) -> Recording:
     """Rename to a free name: one raw recording may give a set several stretches."""
-    taken = {name for names in written.values() for name in names}
-    number = 2
-    while f"{recording.name}-{number}.parquet" in taken:
-        number += 1
-    return replace(recording, name=f"{recording.name}-{number}")
+    numbered = (f"{recording.name}-{number}" for number in count(2))
+    free = next(name for name in chain((recording.name,), numbered) if f"{name}.parquet" not in taken)
+    return recording if free == recording.name else replace(recording, name=free)
 
 
 # --- The import stage.
-
-
-Say = Callable[[str], object]
 
 
 def import_dataset(
@@ -362,8 +329,8 @@ def import_dataset(
     arm_file: Path,
     out: Path,
     format: str,
-    say: Say,
-    meshes: MeshFolders = MeshFolders(),  # noqa: B008
+    say: Callable[[str], object],
+    meshes: MeshFolders = MeshFolders(),
 ) -> None:
     """Import all sources into a folder, written atomically.
 
@@ -412,14 +379,14 @@ def import_dataset(
             say(f"{export(recordings, part)} episodes")
         else:
             robot = _robot_file(arm, part, say, meshes)
-            for line in write_dataset(sources, arm, robot_sha256(robot), part, lambda one: _reported(one, say)).notes:
+            for line in write_dataset(sources, arm, robot_sha256(robot), part, lambda one: _reported(one, say)):
                 say(line)
         settings = {"arm": read_text(arm_file), "sources": [path.name for path in paths], "format": format}
         write_json(provenance("tauext import", settings, None), part / "run.json")
         write_json({"import_s": round(time.monotonic() - started, 3)}, part / "wall_time_s.json")
 
 
-def _robot_file(arm: Arm, out: Path, say: Say, meshes: MeshFolders) -> Path:
+def _robot_file(arm: Arm, out: Path, say: Callable[[str], object], meshes: MeshFolders) -> Path:
     """Write and report the dataset's robot file: the arm's with the description's additions, or a placeholder."""
     if arm.model is None:
         say("robot: no model; robot.urdf is a placeholder without masses, and train uses the case none")
@@ -445,7 +412,7 @@ def _robot_file(arm: Arm, out: Path, say: Say, meshes: MeshFolders) -> Path:
     return path
 
 
-def _reported(recording: Recording, say: Say) -> Recording:
+def _reported(recording: Recording, say: Callable[[str], object]) -> Recording:
     """Report the recording and its changes, a line each, and return it."""
     joints = len(recording.joints)
     head = f"{recording.name}: {recording.duration_s:.2f} s, {recording.rate_hz:g} Hz, {joints} joints, "

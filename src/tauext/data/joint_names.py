@@ -11,9 +11,9 @@ from functools import partial
 from tauext.errors import ConfigError
 
 GRIPPER = re.compile(r"gripper|finger|jaw|robotiq|knuckle", re.IGNORECASE)
-FILLERS = frozenset("joint joints jnt jt j axis ax a act actuator motor m link drive dof servo pos position q".split())
+_FILLERS = frozenset("joint joints jnt jt j axis ax a act actuator motor m link drive dof servo pos position q".split())
 """Words of a joint's name that do not tell it from others."""
-FAMILIES = (
+_FAMILIES = (
     # Universal Robots: the ROS driver, the teach pendant.
     (
         "shoulder pan, shoulder lift, elbow, wrist 1, wrist 2, wrist 3",
@@ -64,10 +64,7 @@ def match_joints(robot: Sequence[str], logged: Sequence[str]) -> Matched:
             pairs = _by_key(robot, list(renamed), keys_of)
             if pairs and (_all_of(renamed, pairs.values()) or _all_of(robot, pairs)):
                 named = {name: renamed[there] for name, there in pairs.items()}
-                if counted_otherwise:
-                    found.proposed = named
-                else:
-                    found.pairs, found.rule = named, rule
+                found = Matched({}, named) if counted_otherwise else Matched(named, rule=rule)
                 break
     left = _left(robot, logged, found)
     if left[0] and left[1] and not counted_otherwise:
@@ -99,9 +96,6 @@ def expect_all_placed(
         logged: joints that the recording names; empty where it numbers them.
         placed: name in the recording of each joint in use.
         locked, ignored: joints that the description leaves out.
-
-    Raises:
-        ConfigError: names the joints, the pair that is left, and the entries to add; or a locked joint is unknown.
     """
     unknown = [name for name in locked if robot and name not in robot]
     if unknown:
@@ -181,29 +175,21 @@ def _spelled(names: Sequence[str]) -> dict[str, str]:
 
 def _words(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Words of each name, without fillers and without words that all arm joints share; numbers without zeros."""
-    words = {
-        name: [
-            str(int(word)) if word.isdigit() else word.lower()
-            for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", name)
-        ]
-        for name in names
-    }
+    split = {name: re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", name) for name in names}
+    words = {name: [str(int(w)) if w.isdigit() else w.lower() for w in found] for name, found in split.items()}
     own = [words[name] for name in names if not GRIPPER.search(name)] or list(words.values())
     shared = set(own[0]).intersection(*map(set, own)) if len(own) > 1 else set()
-    return {name: tuple(word for word in of if word not in FILLERS | shared) for name, of in words.items()}
+    return {name: tuple(word for word in of if word not in _FILLERS | shared) for name, of in words.items()}
 
 
 def _numbers(names: Sequence[str]) -> dict[str, str]:
     """The last number of each name; grippers have none."""
-    return {
-        name: str(int(numbers[-1]))
-        for name in names
-        if not GRIPPER.search(name) and (numbers := re.findall(r"\d+", name))
-    }
+    numbered = {name: re.findall(r"\d+", name) for name in names if not GRIPPER.search(name)}
+    return {name: str(int(numbers[-1])) for name, numbers in numbered.items() if numbers}
 
 
 def _family(family: Sequence[str], names: Sequence[str]) -> dict[str, str]:
-    """Places in a family of names, if all of these belong to it."""
+    """Indices in a family of names, if all of these belong to it."""
     by_words = {name: " ".join(words) for name, words in _words(names).items()}
     arms = {words for name, words in by_words.items() if not GRIPPER.search(name)}
     for listed in (variant.split(", ") for variant in family):
@@ -216,6 +202,6 @@ RULES: dict[str, KeysOf] = {
     "names that differ in case and separators": _spelled,
     "names that differ in prefix, suffix or words such as 'joint'": _words,
     "the numbers in their names": _numbers,
-    **{f"the makers' names {family[0]}": partial(_family, family) for family in FAMILIES},
+    **{f"the makers' names {family[0]}": partial(_family, family) for family in _FAMILIES},
 }
 """Rules by which names match, the strictest first."""

@@ -1,24 +1,21 @@
-"""Labels of touches in the journal of `tauext commission`, and how they become `contact` of recordings."""
+"""Labels of touches beside recordings, and how they become `contact` of recordings."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
-from dataclasses import dataclass, fields, replace
-from functools import lru_cache
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
+from tauext import plugins
 from tauext.config import FreeMotionConfig
-from tauext.files.journal import Contents, is_journal, read
-from tauext.files.journal_lines import LabelAnswer
 
 if TYPE_CHECKING:
     import numpy as np
 
-KIND, ALARM = "label", "event"
-"""Kinds of lines in the journal of a folder: of an answer, and of an alarm, whose stamps its label has."""
+LabelAnswer = Literal["touched", "nothing", "unanswered", "suspect", "withdrawn"]
 MARGINS = FreeMotionConfig()
 SUSPECT_MARGINS = FreeMotionConfig(after_s=0.3)
 """Margins of a suspect: its end follows from the errors themselves, so filters alone need time."""
@@ -57,52 +54,27 @@ class Label:
         return replace(self, answer=by.answer, by=by.by, wall=by.wall)
 
 
-def read_labels(folder: Path) -> tuple[Label, ...]:
-    """The newest label of each id in the journal of a folder."""
-    return labels_of(read(folder))
-
-
-@lru_cache(maxsize=8)
-def labels_of(journal: Contents) -> tuple[Label, ...]:
-    """The newest label of each id in these lines."""
-    newest: dict[int, Label] = {}
-    alarms: dict[int, Label] = {}
-    for content in journal.lines:
-        with suppress(KeyError, TypeError, ValueError):
-            if content.get("kind") == ALARM:
-                alarms[content["id"]] = label_of_alarm(content)
-                newest.setdefault(content["id"], alarms[content["id"]])
-            elif content.get("kind") == KIND:
-                label = label_of(content)
-                is_late = label.id in newest and newest[label.id].is_answered
-                if label.answer != "withdrawn" or not is_late:  # the answer came while labels were withdrawn
-                    newest[label.id] = label
-    labels = (label for label in newest.values() if label.answer != "withdrawn")
-    return tuple(one if one.id not in alarms else alarms[one.id].answered(one) for one in labels)
-
-
-def label_of_alarm(content: Mapping[str, Any]) -> Label:
-    """The label of an alarm that nobody has answered, from its line; KeyError or ValueError where it is none."""
-    span = int(content["t_ns"]), int(content.get("held_ns") or content["t_ns"])
-    words = str(content.get("wall") or ""), str(content.get("bundle") or "")
-    return Label(int(content["id"]), int(content["epoch"]), *span, "unanswered", "nobody", *words)
-
-
-def label_of(content: Mapping[str, Any]) -> Label:
-    """The label in one line; KeyError or ValueError where it is none."""
-    label = Label(**{field.name: type_of(field.type)(content[field.name]) for field in fields(Label)})
-    if label.answer not in get_args(LabelAnswer):
-        raise ValueError(label.answer)
-    return label
-
-
-def type_of(name: object) -> type:
-    return int if name == "int" else str
-
-
 def has_labels(folder: Path) -> bool:
     """Whether labels lie beside the folder's recordings."""
-    return is_journal(folder)
+    return any((folder / name).is_file() for name in plugins.LABELLED)
+
+
+def read_labels(folder: Path, to_train: bool = False) -> tuple[Label, ...]:
+    """The newest label of each id beside the folder's recordings, from the package that keeps them.
+
+    Args:
+        to_train: whether a model is trained on the recordings: labels must be complete.
+
+    Raises:
+        ConfigError: the package is not installed, or labels are lost.
+    """
+    is_kept = has_labels(folder) or (to_train and any((folder / mark).is_file() for mark in plugins.MARKS))
+    return _reader()(folder, to_train) if is_kept else ()
+
+
+@cache
+def _reader() -> Callable[[Path, bool], tuple[Label, ...]]:
+    return plugins.part("touch-labels")
 
 
 def labels_key(folder: Path) -> str:

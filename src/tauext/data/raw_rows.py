@@ -9,44 +9,15 @@ from functools import partial
 
 import numpy as np
 
-from tauext.data.clock import (
-    LATE_S,
-    SHARED_STAMPS,
-    SHORT_RUN,
-    Runs,
-    Table,
-    TwoClocks,
-    expect_no_counter,
-    expect_same_rate,
-)
+from tauext.data.clock import SHARED_STAMPS, RowRules, Runs, Table, TwoClocks, expect_no_counter, expect_same_rate
 from tauext.data.description import TIME_UNITS, Arm
 from tauext.data.importers.raw import Lost, RawRecording, RawSignals, short_list
 from tauext.data.recording import REPEATED, SORTED, Recording
 from tauext.errors import RecordingError
 
-PIECE_S = 600.0
-"""A longer raw recording becomes several recordings of about this length, [s] ..."""
-PIECE_ROWS = 150_000
-"""... or about so many samples, whichever is less: memory stays bounded."""
-MOST_WAITING = 20 * PIECE_ROWS
-"""Rows that are kept until the stamps go on: no arm is sampled as often within LATE_S."""
-MOST_SHARE = 0.2
-"""Share above which the file is refused: it is not what the description states."""
-LEAST_REFUSED = 10
-"""Fewer rows left out refuse no file, whatever its length."""
-THROUGHOUT = 0.9
-"""Share of the rows without a value from which a signal is missing throughout."""
-
 _LOCK = "take {joints} out of [robot] joints, and list it in locked and ignored there; or record it"
-WAYS_ON = {
-    "q": _LOCK,
-    "dq": 'columns = "" in [signals.dq] derives the velocity from the position',
-    "tau": _LOCK,
-}
+WAYS_ON = {"q": _LOCK, "dq": 'columns = "" in [signals.dq] derives the velocity from the position', "tau": _LOCK}
 """What a person can do about a signal that is missing throughout; others are optional."""
-
-OTHER_CLOCK = 'use the other clock instead: [time] column = "{}"'
-BY_RATE = 'give the rate of the rows instead: [time] column = "" and rate_hz'
 
 
 @dataclass(frozen=True)
@@ -75,15 +46,12 @@ class Piece:
 class RowReader:
     """Reads the needed columns of a raw recording once, and counts what is left out."""
 
-    def __init__(self, raw: RawRecording, arm: Arm, columns: Columns):
-        self._raw, self._arm, self._columns = raw, arm, columns
-        self._rows: Counter[str] = Counter()
-        self._missing: Counter[str] = Counter()
-        self._clocks = TwoClocks(raw.clocks)
-        self._stamped = False
-        self._by_rate = False
-        self._lost = Lost()
-        self._total: Counter[str] = Counter()
+    def __init__(self, raw: RawRecording, arm: Arm, columns: Columns, rules: RowRules = RowRules()):
+        self._raw, self._arm, self._columns, self._rules = raw, arm, columns, rules
+        self._rows, self._missing = Counter[str](), Counter[str]()
+        self._clocks, self._lost = TwoClocks(raw.clocks), Lost()
+        self._stamped = self._by_rate = False
+        self._total = Counter[str]()
         """Rows read into recordings, repeated stamps and sorted rows so far."""
 
     @property
@@ -91,8 +59,8 @@ class RowReader:
         """What to do where the stamps in use are no clock."""
         names = self._raw.clocks
         if names[1] and self._arm.time.column in ("", names[0]):
-            return OTHER_CLOCK.format(names[1])
-        return BY_RATE
+            return f'use the other clock instead: [time] column = "{names[1]}"'
+        return 'give the rate of the rows instead: [time] column = "" and rate_hz'
 
     def pieces(self) -> Iterator[Piece]:
         """Yield the pieces in order of runs and time.
@@ -100,16 +68,11 @@ class RowReader:
         Raises:
             RecordingError: the reader's; no clock, or a stream without samples.
         """
-        joints = {
-            stream: [
-                place
-                for key, (at, places) in self._columns.signals.items()
-                if at == stream and key in self._arm.signals
-                for place in places
-            ]
-            for stream in self._columns.streams
-        }
-        runs = {stream: Runs(partial(self._odd_stamp, stream)) for stream in joints}
+        joints: dict[str, list[int]] = {stream: [] for stream in self._columns.streams}
+        for key, (stream, indices) in self._columns.signals.items():
+            joints[stream] += indices if key in self._arm.signals else []
+        runs = {stream: Runs(partial(self._odd_stamp, stream), self._rules) for stream in joints}
+        rules = self._rules
         waiting: dict[int, dict[str, list[Table]]] = {}
         present, begin = 0, None
         for block in self._raw.blocks():
@@ -127,14 +90,14 @@ class RowReader:
             newest = [max(int(t[-1]) for t, _ in parts) for parts in tables.values()]
             if begin is None:
                 begin = min(int(t.min()) for parts in tables.values() for t, _ in parts)
-            passed = min(newest) - begin - int(LATE_S * 1e9)
+            passed = min(newest) - begin - int(rules.late_s * 1e9)
             rows = sum(len(t) for parts in tables.values() for t, _ in parts)
-            if rows > MOST_WAITING and passed <= 0:
+            if rows > rules.most_waiting and passed <= 0:
                 raise RecordingError(
-                    f"{self._raw.path}: more than {MOST_WAITING:,} rows have stamps within {LATE_S:g} s, so they are "
-                    f"no clock; {self.remedy}"
+                    f"{self._raw.path}: more than {rules.most_waiting:,} rows have stamps within {rules.late_s:g} s, "
+                    f"so they are no clock; {self.remedy}"
                 )
-            if passed > 1.5e9 * PIECE_S or (rows > 1.5 * PIECE_ROWS and passed > 0):
+            if passed > 1.5e9 * rules.piece_s or (rows > 1.5 * rules.piece_rows and passed > 0):
                 begin += passed * 2 // 3
                 yield Piece({stream: _taken(parts, begin) for stream, parts in tables.items()}, present, False)
         for stream, one in runs.items():
@@ -152,19 +115,16 @@ class RowReader:
         rows = {stream: sum(len(t) for t, _ in parts) for stream, parts in tables.items()}
         if alone and missing:
             raise RecordingError(f"{self._raw.path}: no samples of {', '.join(missing)}")
-        if alone or (not missing and min(rows.values()) >= SHORT_RUN):
+        if alone or (not missing and min(rows.values()) >= self._rules.short_run):
             yield Piece({stream: _joined(parts) for stream, parts in tables.items()}, number, last)
-        elif missing:
+            return
+        reason = f"in a run of fewer than {self._rules.short_run} rows, between two steps of the clock"
+        if missing:
             reason = f"in a run, where the clock begins again, without samples of {', '.join(missing)}"
-            self._raw.lost.add(reason, sum(rows.values()), f"in run {number + 1}")
-        else:
-            reason = f"in a run of fewer than {SHORT_RUN} rows, between two steps of the clock"
-            self._raw.lost.add(reason, sum(rows.values()), f"in run {number + 1}")
+        self._raw.lost.add(reason, sum(rows.values()), f"in run {number + 1}")
 
     def _odd_stamp(self, stream: str, row: int) -> None:
-        self._raw.lost.add(
-            "the stamp is far from those of its neighbours", 1, f"near {self._raw.place(row)}{_of(stream)}"
-        )
+        self._raw.lost.add("the stamp is far from those of its neighbours", 1, f"near {self._at(stream, row)}")
 
     def _needed(self, block: RawSignals, joints: Mapping[str, list[int]]) -> Table | None:
         """Stamps and needed columns of a block's valid rows; None: it has other joints only."""
@@ -174,34 +134,33 @@ class RowReader:
         first = self._rows[block.stream]
         rows = np.arange(first, first + len(block.columns)) if block.rows is None else block.rows
         self._rows[block.stream] = int(rows[-1]) + 1 if len(rows) else first
-        place = {name: k for k, name in enumerate(block.names)}
-        there = [name for name in names if name in place]
-        if not there:
+        index = {name: k for k, name in enumerate(block.names)}
+        lacking = [name for name in names if name not in index]
+        if len(lacking) == len(names):
             raw.counts[f"messages on {block.stream} of other joints left out"] += len(block.columns)
             return None
-        if len(there) < len(names):
-            lacking = [name for name in names if name not in place]
+        if lacking:
             self._missing.update(dict.fromkeys(lacking, len(rows)))
-            raw.lost.add(f"without {short_list(lacking, 4)}", len(rows), self._at(block, rows[0]))
+            raw.lost.add(f"without {short_list(lacking, 4)}", len(rows), self._at(block.stream, rows[0]))
             return None
-        values = block.columns[:, [place[name] for name in names]]
+        values = block.columns[:, [index[name] for name in names]]
         t_ns, known = self._stamps(block, values, rows)
         bad = ~np.isfinite(values[:, joints[block.stream]])
         if bad.any():
+            signals = [names[k] for k in joints[block.stream]]
             for k in np.flatnonzero(bad.any(axis=0)):
-                self._missing[names[joints[block.stream][k]]] += int(bad[:, k].sum())
+                self._missing[signals[k]] += int(bad[:, k].sum())
             worst = np.where(bad.any(axis=1), bad.argmax(axis=1), -1)
             for k in np.unique(worst[worst >= 0]):
-                at = worst == k
-                reason = f"'{names[joints[block.stream][k]]}' is missing or no finite number"
-                raw.lost.add(reason, int(at.sum()), self._at(block, rows[np.argmax(at)]))
+                at, reason = worst == k, f"'{signals[k]}' is missing or no finite number"
+                raw.lost.add(reason, int(at.sum()), self._at(block.stream, rows[np.argmax(at)]))
             known &= worst < 0
         if not known.all():
             t_ns, values = t_ns[known], values[known]
         return t_ns, values
 
-    def _at(self, block: RawSignals, row: int) -> str:
-        return f"{self._raw.place(int(row))}{_of(block.stream)}"
+    def _at(self, stream: str, row: int) -> str:
+        return self._raw.position(int(row)) + (f" of {stream}" if stream else "")
 
     def _stamps(self, block: RawSignals, values: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Stamps of a block's rows by the clock in use, [ns], and which are known."""
@@ -211,8 +170,8 @@ class RowReader:
             times = values[:, self._columns.signals["time"][1][0]]
             known = np.isfinite(times)
             if not known.all():
-                raw.lost.add(f"'{arm.time.column}', its time, is missing", int((~known).sum()),
-                             self._at(block, rows[np.argmin(known)]))  # fmt: skip
+                first = self._at(block.stream, rows[np.argmin(known)])
+                raw.lost.add(f"'{arm.time.column}', its time, is missing", int((~known).sum()), first)
             t_ns = np.zeros(len(times), np.int64)
             unit_ns = TIME_UNITS[arm.time.unit]
             t_ns[known] = np.round(times[known] * unit_ns).astype(np.int64)
@@ -248,11 +207,7 @@ class RowReader:
     # --- What was left out.
 
     def expect_rates(self, t_ns: np.ndarray) -> None:
-        """Compare the stamps of the first recording with the rates that the description and the file state.
-
-        Raises:
-            RecordingError: one differs by more than 2 %.
-        """
+        """Compare the stamps of the first recording with the rates that the description and the file state."""
         if not self._stamped or self._by_rate:
             return
         stated_hz = self._arm.time.rate_hz
@@ -296,10 +251,11 @@ class RowReader:
         self._keep_lost()
         total, lost = self._total, self._lost.count + self._total["repeated"]
         rows = total["rows"] + self._lost.count
-        if lost and (lost == rows or lost > max(MOST_SHARE * rows, LEAST_REFUSED)):
+        most = max(self._rules.most_share * rows, self._rules.least_refused)
+        if lost and (lost == rows or lost > most):
             reasons = self._lost.sentences() + [f"{total['repeated']} {REPEATED}"] * bool(total["repeated"])
             raise RecordingError(f"{lost} of {rows} rows are left out; {'; '.join(self._absent() or reasons)}")
-        if total["sorted"] > max(MOST_SHARE * rows, LEAST_REFUSED):
+        if total["sorted"] > most:
             raise RecordingError(
                 f"{total['sorted']} of {rows} rows are out of order by their stamps; write the rows in the order in "
                 f"which they were measured, or {self.remedy}"
@@ -308,9 +264,9 @@ class RowReader:
     def _absent(self) -> list[str]:
         """A sentence with the ways on for each signal that is missing throughout."""
         rows, found = sum(self._rows.values()), []
-        for signal, (stream, places) in self._columns.signals.items():
-            names = [self._columns.streams[stream][place] for place in places]
-            absent = [k for k, name in enumerate(names) if self._missing[name] >= THROUGHOUT * rows]
+        for signal, (stream, indices) in self._columns.signals.items():
+            names = [self._columns.streams[stream][k] for k in indices]
+            absent = [k for k, name in enumerate(names) if self._missing[name] >= 0.9 * rows]
             if not absent:
                 continue
             joints = [self._arm.robot.joints[k] for k in absent] if len(names) == len(self._arm.robot.joints) else []
@@ -321,10 +277,6 @@ class RowReader:
                 f"{signal} of {short_list(joints) or 'all'} ({listed}) has no number in nearly all rows: {ways}"
             )
         return found
-
-
-def _of(stream: str) -> str:
-    return f" of {stream}" if stream else ""
 
 
 def _joined(tables: list[Table]) -> Table:

@@ -15,16 +15,10 @@ from tauext.errors import RecordingError
 # --- Samples in order of time: late packets, repeated stamps, repeated measurements, gaps.
 
 
-REPEAT_S = 0.1
-"""Longest run of equal rows that repeats one measurement; in longer ones the arm rests or the sensor is stuck."""
 GAP_STEPS = 1.75
 """Shortest step with lost samples, in periods; a shorter one is jitter (SignalWatch::kGap)."""
-LONGEST_FITTED = 10
-"""Longest step used for the period, in periods; a longer one is a pause and weak evidence."""
 BRIDGE_STEPS = 2.5
 """Longest step for interpolation and differentiation, in sample periods."""
-
-
 SORTED = "samples out of order, sorted by their stamps"
 REPEATED = "samples dropped: stamp repeats the sample before, values differ"
 """Changes by ordered(), as they are counted."""
@@ -64,18 +58,16 @@ def fresh(t_ns: np.ndarray, measured: np.ndarray, drop: bool, counts: Counter[st
     again = _same_as_before(measured)
     begins = np.flatnonzero(~again)
     lengths = np.diff(np.r_[begins, len(t_ns)])
-    lasts = begins + lengths - 1
-    standing = (t_ns[lasts] - t_ns[begins]) * 1e-9 > REPEAT_S
+    standing = (t_ns[begins + lengths - 1] - t_ns[begins]) * 1e-9 > 0.1
     long_run = np.repeat(standing, lengths)
     counts["samples that stay the same for more than 0.1 s kept: at rest, or stuck"] += int((again & long_run).sum())
     repeats = again & ~long_run
-    counts[f"repeated samples {'dropped' if drop else 'kept'}: all values equal the sample before"] += int(
-        repeats.sum()
-    )
+    done = "dropped" if drop else "kept"
+    counts[f"repeated samples {done}: all values equal the sample before"] += int(repeats.sum())
     return ~repeats if drop else np.ones(len(t_ns), bool)
 
 
-def fitted_period_ns(t_ns: np.ndarray) -> float:
+def fitted_period_ns(t_ns: np.ndarray, longest: int = 10) -> float:
     """Sample period, [ns], fitted together with the number of periods in each step.
 
     The period is the total time of the steps divided by their periods. Unlike in the mean, lost samples do not lengthen
@@ -83,12 +75,13 @@ def fitted_period_ns(t_ns: np.ndarray) -> float:
 
     Args:
         t_ns: increasing, (samples,), at least two, [ns].
+        longest: longest step that counts, in periods; a longer one is a pause and weak evidence.
     """
     steps = np.diff(t_ns)
     period = float(np.median(steps))
     for _ in range(20):  # most take two
         ticks = periods_of(steps, period)
-        fitted = steps <= LONGEST_FITTED * period
+        fitted = steps <= longest * period
         if not fitted.any():
             return period
         before, period = period, float(steps[fitted].sum() / ticks[fitted].sum())
@@ -97,16 +90,19 @@ def fitted_period_ns(t_ns: np.ndarray) -> float:
     return period
 
 
-def periods_of(steps_ns: np.ndarray, period_ns: float) -> np.ndarray:
+def periods_of(steps_ns: np.ndarray, period_ns: float, soon: int = 10) -> np.ndarray:
     """Sample periods in each step, a whole number >= 1: more than one where samples were lost.
 
     A late sample is not lost: short steps soon after make up for the long one.
+
+    Args:
+        soon: steps after a long one that may make up for it.
     """
     ratio = steps_ns / period_ns
     whole = np.round(ratio)
     made_up = np.r_[0.0, np.cumsum(np.where(ratio < 0.5, 1 - ratio, 0.0))]
-    soon = np.minimum(np.arange(len(ratio)) + 1 + LONGEST_FITTED, len(ratio))
-    late = made_up[soon] - made_up[:-1] > 0.5 * (whole - 1)
+    after = np.minimum(np.arange(len(ratio)) + 1 + soon, len(ratio))
+    late = made_up[after] - made_up[:-1] > 0.5 * (whole - 1)
     return np.where((ratio >= GAP_STEPS) & ~late, whole, 1.0)
 
 
@@ -160,7 +156,6 @@ def _same_as_before(values: np.ndarray) -> np.ndarray:
 
 
 TorqueTiming = Literal["held", "instant", "averaged"]
-TORQUE_TIMINGS = get_args(TorqueTiming)
 REQUIRED_SIGNALS = ("q", "dq", "tau")
 OPTIONAL_SIGNALS = ("tau_jts", "tau_ext", "tau_ext_sensor", "q_des", "temperature", "current", "duty", "voltage")
 SIGNALS = REQUIRED_SIGNALS + OPTIONAL_SIGNALS
@@ -234,8 +229,8 @@ class Recording:
             last = len(self.joints) - 1
             rule = f"the index of a joint, 0 to {last}, or -1 where nothing touches"
             self._set("contact_link", self._checked_flags("contact_link", -1, last, rule))
-        if self.torque_timing not in TORQUE_TIMINGS:
-            self._refuse(f"torque_timing = {self.torque_timing!r} must be one of {', '.join(TORQUE_TIMINGS)}")
+        if self.torque_timing not in (timings := get_args(TorqueTiming)):
+            self._refuse(f"torque_timing = {self.torque_timing!r} must be one of {', '.join(timings)}")
         self._set("rate_hz", self._checked_rate())
         for name in ("name", "source", "robot_sha256"):
             if not isinstance(getattr(self, name), str):
@@ -283,11 +278,8 @@ class Recording:
         t_ns = read_only(t_ns, np.int64)
         late = np.flatnonzero(t_ns[1:] <= t_ns[:-1])
         if late.size:
-            row = int(late[0]) + 1
-            self._refuse(
-                f"t_ns at row {row} is {t_ns[row]}, after {t_ns[row - 1]} at row {row - 1}; "
-                "times must strictly increase"
-            )
+            row, rule = int(late[0]) + 1, "times must strictly increase"
+            self._refuse(f"t_ns at row {row} is {t_ns[row]}, after {t_ns[row - 1]} at row {row - 1}; {rule}")
         return t_ns
 
     def _checked_signal(self, signal: str) -> np.ndarray:
@@ -300,8 +292,8 @@ class Recording:
         finite = np.isfinite(values)
         if not finite.all():
             row, joint = np.argwhere(~finite)[0]
-            value = values[row, joint]
-            self._refuse(f"{signal}_{self.joints[joint]} at row {row} is {value}; every value must be finite")
+            what = f"{signal}_{self.joints[joint]} at row {row} is {values[row, joint]}"
+            self._refuse(f"{what}; every value must be finite")
         return values
 
     def _checked_flags(self, name: str, low: int, high: int, rule: str) -> np.ndarray:
@@ -341,11 +333,7 @@ class Recording:
 
 
 def check_joints(joints: Any, here: str) -> tuple[str, ...]:
-    """Return joint names as a tuple: at least one, no repeats, and no two that would share a column of the file.
-
-    Raises:
-        RecordingError: a name breaks a rule; `here` states its place.
-    """
+    """Return joint names as a tuple: at least one, no repeats, and no two that would share a column of the file."""
     names = tuple(joints) if isinstance(joints, tuple | list) else (joints,)
     if not names:
         raise RecordingError(f"{here}: it has no joints; at least one is needed")

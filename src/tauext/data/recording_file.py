@@ -22,11 +22,15 @@ from tauext.files.kind import why_no_recording
 from tauext.files.plain_file import FORMAT, expect_file, expect_format, json_of
 from tauext.files.preflight import expect_rows_fit
 
-# --- Parquet files: written atomically; equal content gives equal bytes.
-
-
 if TYPE_CHECKING:
     import pyarrow as pa
+    import pyarrow.parquet as pq
+
+UNITS = {"t": "ns", "q": "rad", "dq": "rad/s", "tau": "N m"}
+TEXTS = ("tauext_format", "joints", "units", "rate_hz", "torque_timing", "source", "robot_sha256", "provenance")
+"""Keys of the schema's metadata, all required."""
+ROW_GROUP = 225_000
+"""Samples of a row group, the unit of reading: half an hour at 125 Hz; no import puts more in a file."""
 
 
 def write_parquet(table: pa.Table, path: Path, **encoding: Any) -> None:
@@ -46,21 +50,6 @@ def write_parquet(table: pa.Table, path: Path, **encoding: Any) -> None:
     except (OSError, UnicodeEncodeError) as error:  # or a name that is not UTF-8
         cause = getattr(error, "strerror", None) or error
         raise RecordingError(f"{path}: cannot be written ({cause})") from error
-
-
-# --- The Parquet file of a recording, specified in docs/reference/files-data.md.
-
-
-if TYPE_CHECKING:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-UNITS = {"t": "ns", "q": "rad", "dq": "rad/s", "tau": "N m"}
-TEXTS = ("tauext_format", "joints", "units", "rate_hz", "torque_timing", "source", "robot_sha256", "provenance")
-"""Keys of the schema's metadata, all required."""
-MAGIC = b"PAR1"
-ROW_GROUP = 225_000
-"""Samples of a row group, the unit of reading: half an hour at 125 Hz; no import puts more in a file."""
 
 
 @dataclass(frozen=True)
@@ -101,27 +90,12 @@ def save_recording(recording: Recording, path: Path | str) -> None:
     floats = list(columns)[1:]
     flags = [flag for flag in FLAGS if getattr(recording, flag) is not None]
     columns |= {flag: getattr(recording, flag) for flag in flags}
-    table = pa.table(columns).replace_schema_metadata(
-        {
-            "tauext_format": str(FORMAT),
-            "joints": json.dumps(recording.joints),
-            "units": json.dumps(UNITS),
-            "rate_hz": repr(recording.rate_hz),
-            "torque_timing": recording.torque_timing,
-            "source": recording.source,
-            "robot_sha256": recording.robot_sha256,
-            "provenance": json.dumps(recording.provenance),
-        }
-    )
+    texts = [str(FORMAT), json.dumps(recording.joints), json.dumps(UNITS), repr(recording.rate_hz)]
+    texts += [recording.torque_timing, recording.source, recording.robot_sha256, json.dumps(recording.provenance)]
+    table = pa.table(columns).replace_schema_metadata(dict(zip(TEXTS, texts, strict=True)))
     encoding = {"t_ns": "DELTA_BINARY_PACKED"} | dict.fromkeys(floats, "BYTE_STREAM_SPLIT")
-    write_parquet(
-        table,
-        path,
-        use_dictionary=flags,
-        column_encoding=encoding,
-        write_page_checksum=True,
-        row_group_size=ROW_GROUP,
-    )
+    how: dict[str, Any] = {"use_dictionary": flags, "column_encoding": encoding, "row_group_size": ROW_GROUP}
+    write_parquet(table, path, write_page_checksum=True, **how)
 
 
 @checked
@@ -180,9 +154,7 @@ def read_rows(file: pq.ParquetFile, columns: list[str], rows: tuple[int, int] | 
     first, end = rows
     sizes = [file.metadata.row_group(g).num_rows for g in range(file.num_row_groups)]
     starts = [sum(sizes[:g]) for g in range(len(sizes))]
-    wanted = [
-        g for g, (start, size) in enumerate(zip(starts, sizes, strict=True)) if start < end and start + size > first
-    ]
+    wanted = [g for g, size in enumerate(sizes) if starts[g] < end and starts[g] + size > first]
     return file.read_row_groups(wanted, columns).slice(first - starts[wanted[0]], end - first)
 
 
@@ -259,7 +231,7 @@ def opened(path: Path) -> Iterator[pq.ParquetFile]:
 
 
 def expect_rows(path: Path, footer: pq.FileMetaData) -> None:
-    """Raise RecordingError unless the footer has the same number of rows in each of its places.
+    """Raise RecordingError unless the footer has the same number of rows for every group and column.
 
     A reader allocates for the one, and returns as many as the other.
     """
@@ -274,15 +246,14 @@ def expect_rows(path: Path, footer: pq.FileMetaData) -> None:
 def expect_whole(path: Path) -> None:
     """Raise RecordingError unless the file begins and ends as a Parquet file."""
     with path.open("rb") as raw:
-        begins = raw.read(4) == MAGIC
+        begin = raw.read(4)
         raw.seek(0, os.SEEK_END)
         raw.seek(max(0, raw.tell() - 4))
-        ends = raw.read(4) == MAGIC
-    if not begins:
-        if reason := why_no_recording(path):
-            raise RecordingError(f"{path}: {reason}")
-        raise RecordingError(f"{path}: not a Parquet file: it begins otherwise; recordings are Parquet files")
-    if not ends:
+        end = raw.read(4)
+    if begin != b"PAR1":
+        otherwise = "not a Parquet file: it begins otherwise; recordings are Parquet files"
+        raise RecordingError(f"{path}: {why_no_recording(path) or otherwise}")
+    if end != b"PAR1":
         raise RecordingError(f"{path}: truncated: the end of a Parquet file is missing; copy or record it again")
 
 
@@ -298,11 +269,9 @@ def read_head(path: Path, file: pq.ParquetFile) -> Description:
             raise RecordingError(f"{path}: its metadata has no '{key}'; needed are {', '.join(TEXTS)}")
     units = parse_json(path, "units", texts["units"], dict)
     for quantity, unit in UNITS.items():
-        if units.get(quantity) != unit:
-            raise RecordingError(
-                f"{path}: the unit of {quantity} is {units.get(quantity, 'missing')!r}, must be '{unit}'; "
-                f"convert the columns and write the recording again"
-            )
+        if (found := units.get(quantity, "missing")) != unit:
+            rule = f"must be '{unit}'; convert the columns and write the recording again"
+            raise RecordingError(f"{path}: the unit of {quantity} is {found!r}, {rule}")
     joints = check_joints(parse_json(path, "joints", texts["joints"], list), str(path))
     try:
         rate_hz = float(texts["rate_hz"])
@@ -310,17 +279,10 @@ def read_head(path: Path, file: pq.ParquetFile) -> Description:
         raise RecordingError(f"{path}: rate_hz = '{texts['rate_hz']}' must be a number, in Hz") from error
     names = set(file.schema_arrow.names)
     held = tuple(s for s in SIGNALS if any(f"{s}_{joint}" in names for joint in joints))
-    return Description(
-        name=path.stem,
-        joints=joints,
-        signals=held + tuple(flag for flag in FLAGS if flag in names),
-        samples=file.metadata.num_rows,
-        rate_hz=rate_hz,
-        torque_timing=texts["torque_timing"],
-        source=texts["source"],
-        robot_sha256=texts["robot_sha256"],
-        provenance=parse_json(path, "provenance", texts["provenance"], dict),
-    )
+    signals, provenance = held + tuple(one for one in FLAGS if one in names), texts["provenance"]
+    facts = (texts["torque_timing"], texts["source"], texts["robot_sha256"])
+    provenance = parse_json(path, "provenance", provenance, dict)
+    return Description(path.stem, joints, signals, file.metadata.num_rows, rate_hz, *facts, provenance)
 
 
 def check_columns(path: Path, head: Description, schema: pa.Schema) -> None:

@@ -47,7 +47,6 @@ def _unscaled(recordings: Sequence[Recording], torque: str) -> bool:
 
 RAW_SIGNALS = ("q_des", "current", "duty", "voltage")
 """Signals from which a servo's torque is computed, beside position and velocity."""
-CONSTANTS = ("volts", "ohm", "back_emf_v_s", "nm_per_ampere", "duty_per_rad", "most_duty", "count_rad")
 TORQUE_WORDS = {
     "phase-current": "current of the windings",
     "supply-current": "current of the supply",
@@ -81,12 +80,12 @@ def servo_settings(arm: Arm, rate_hz: float, q: np.ndarray) -> _core.ServoSettin
     nm_per_ampere = (1.0,) * len(joints) if isinstance(table, str) or not table else table
     constants = []
     for j, kind in enumerate(types):
-        count_rad = 2 * math.pi / servo.counts_a_turn[j] if servo.counts_a_turn else kind.count_rad
-        count_rad = count_rad or (float(least[j]) if np.isfinite(least[j]) else 0.0)
-        gain = servo.gain[j] if servo.gain else kind.gain
-        duty_per_rad = servo.duty_per_rad[j] if servo.duty_per_rad else (gain or 0.0) * (kind.duty_per_rad or 0.0)
-        if not duty_per_rad and kind is UNKNOWN:
-            duty_per_rad = 1.0
+        # The table's constants come before those of the type.
+        given = {name: one[j] for name, one in vars(servo).items() if isinstance(one, tuple) and one and name != "type"}
+        count_rad = 2 * math.pi / given["counts_a_turn"] if "counts_a_turn" in given else kind.count_rad
+        gain = given.get("gain", kind.gain)
+        duty_per_rad = given.get("duty_per_rad", (gain or 0.0) * (kind.duty_per_rad or 0.0))
+        duty_per_rad = duty_per_rad or float(kind is UNKNOWN)
         if servo.torque_from == "goal" and not duty_per_rad:
             raise ConfigError(
                 f"{arm.path}: [servo] torque_from = 'goal' needs the gain of the position controller of joint "
@@ -94,13 +93,13 @@ def servo_settings(arm: Arm, rate_hz: float, q: np.ndarray) -> _core.ServoSettin
             )
         constants.append(
             _core.ServoConstants(
-                volts=servo.voltage_v[j] if servo.voltage_v else kind.volts,
-                ohm=servo.ohm[j] if servo.ohm else (kind.ohm or 1.0),
-                back_emf_v_s=servo.back_emf_v_s[j] if servo.back_emf_v_s else (kind.back_emf_v_s or 0.0),
+                volts=given.get("voltage_v", kind.volts),
+                ohm=given.get("ohm", kind.ohm or 1.0),
+                back_emf_v_s=given.get("back_emf_v_s", kind.back_emf_v_s or 0.0),
                 nm_per_ampere=nm_per_ampere[j],
                 duty_per_rad=duty_per_rad,
-                most_duty=servo.most_duty[j] if servo.most_duty else kind.most_duty,
-                count_rad=count_rad,
+                most_duty=given.get("most_duty", kind.most_duty),
+                count_rad=count_rad or (float(least[j]) if np.isfinite(least[j]) else 0.0),
             )
         )
     steps = min(round(servo.velocity_window_s * rate_hz), 64)
@@ -150,12 +149,13 @@ def velocity_and_torque(
 
 def servo_facts(settings: _core.ServoSettings) -> dict[str, Any]:
     """The settings as plain JSON, for provenance."""
+    constants = ("volts", "ohm", "back_emf_v_s", "nm_per_ampere", "duty_per_rad", "most_duty", "count_rad")
     return {
         "torque_from": settings.torque_from.name,
         "velocity_steps": settings.velocity_steps,
         "sample_period_ns": settings.sample_period_ns,
         "goal_delay_ns": settings.goal_delay_ns,
-        "joints": [{name: getattr(joint, name) for name in CONSTANTS} for joint in settings.joints],
+        "joints": [{name: getattr(joint, name) for name in constants} for joint in settings.joints],
     }
 
 

@@ -65,10 +65,6 @@ def new_folder(folder: Path) -> Iterator[Path]:
         shutil.rmtree(part, ignore_errors=True)
 
 
-LAST = ("report.html", "check.json")
-"""Names of files by which a folder is known to be whole."""
-
-
 @contextmanager
 def atomic_folder(folder: Path) -> Iterator[Path]:
     """A folder NAME.part beside it to write into; its files move into the folder at the end, which is made.
@@ -80,7 +76,8 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
     part.mkdir(parents=True)
     try:
         yield part
-        for file in sorted((one for one in part.rglob("*") if one.is_file()), key=lambda one: (one.name in LAST, one)):
+        last = ("report.html", "check.json")  # a folder with these is whole
+        for file in sorted((one for one in part.rglob("*") if one.is_file()), key=lambda one: (one.name in last, one)):
             path = folder / file.relative_to(part)
             path.parent.mkdir(parents=True, exist_ok=True)
             file.replace(path)

@@ -26,8 +26,6 @@ def cache_folder() -> Path:
 
 EVERY_S = 20.0
 """Between two writings: with one step of the work and the writing itself, less than 30 s are lost."""
-FOLDERS = tuple(f"tauext.{name}." for name in ("config", "data", "bundle", "check", "train"))
-"""Modules whose classes a state may contain, beside those of the package that keeps it."""
 ARRAYS = {
     ("numpy", "ndarray"),
     ("numpy", "dtype"),
@@ -63,7 +61,8 @@ class Checkpoint:
         package: a package beside tauext whose classes the state may contain, too.
         """
         self._path, self._key, self._outside = path, key, dict(outside or {})
-        self._folders = (*FOLDERS, f"{package}.") if package else FOLDERS
+        own = tuple(f"tauext.{name}." for name in ("config", "data", "bundle", "check", "train"))
+        self._folders = (*own, f"{package}.") if package else own
         self._written = time.monotonic()
 
     def load(self, of: Any) -> Any | None:

@@ -19,9 +19,6 @@ LOGS = {
     ".mat": "a MATLAB file",
 }
 """Files that `tauext import` reads, by the end of their names."""
-PARQUET_MAGIC = b"PAR1"
-FOOTER = 1 << 20
-"""Bytes at the end of a Parquet file in which its metadata are searched."""
 SPLIT = "split.json"
 
 
@@ -124,10 +121,10 @@ def is_bundle(path: Path) -> bool:
 
 def is_recording(path: Path) -> bool:
     """Whether the file is a recording of tauext, and not another Parquet file."""
-    if path.suffix != ".parquet" or not begins(path, PARQUET_MAGIC):
+    if path.suffix != ".parquet" or not begins(path, b"PAR1"):
         return False
     with suppress(OSError), path.open("rb") as raw:
-        raw.seek(max(0, raw.seek(0, 2) - FOOTER))
+        raw.seek(max(0, raw.seek(0, 2) - (1 << 20)))  # the metadata are at the end
         return b"tauext_format" in raw.read()
     return False
 

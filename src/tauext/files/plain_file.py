@@ -121,12 +121,10 @@ def _parsed(path: Path, parse: Callable[[], Any], wrong: str, missing: str = "")
         raise ConfigError(f"{path}: {wrong} ({error})") from error
 
 
-PLAIN_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
-
-
 def number_of(text: str) -> float:
     """The value of a plain decimal number; ValueError for `1_0`, `inf`, `nan`, `1e999` and digits other than 0 to 9."""
-    if not PLAIN_NUMBER.fullmatch(text) or not math.isfinite(value := float(text)):
+    is_plain = re.fullmatch(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?", text)
+    if not is_plain or not math.isfinite(value := float(text)):
         raise ValueError(f"{text[:40]!r} is no plain number")
     return value
 

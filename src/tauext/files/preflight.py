@@ -13,9 +13,6 @@ from tauext.errors import ConfigError
 
 LEAST_ROOM = 1 << 20
 """Free space that a disk must have for a bundle, a page or a description, [bytes]."""
-LONGEST_S = 30 * 86400.0
-"""Longest time that a command may take, a month, [s]; it is compared with a lower bound."""
-MEMORY_UNITS = ("bytes", "kB", "MB", "GB", "TB", "PB")
 
 
 def expect_new_file(path: Path, size: float = LEAST_ROOM) -> None:
@@ -71,20 +68,18 @@ def expect_memory(size: float, what: str, remedy: str = "request less") -> None:
         raise ConfigError(f"{what} needs {in_words(size)} of memory, and {in_words(there)} are free; {remedy}")
 
 
-COPIES = 2
-"""How often a table is in memory while it is read."""
-
-
 def expect_rows_fit(path: Path, rows: int, columns: int) -> None:
     """Raise ConfigError where a table of numbers is larger than the free memory: a small file can state 1e9 rows."""
     what = f"{path}: to read {rows:,} rows of {columns} columns"
-    expect_memory(8.0 * COPIES * rows * columns, what, "split the file, or use a computer with more memory")
+    copies = 2  # of the table, in memory while it is read
+    expect_memory(8.0 * copies * rows * columns, what, "split the file, or use a computer with more memory")
 
 
 def expect_time(seconds: float, what: str) -> None:
     """Raise ConfigError where the request takes more than a month even by a lower bound."""
-    if not seconds <= LONGEST_S:
-        raise ConfigError(f"{what} takes {span(seconds)} at least, and {span(LONGEST_S)} are the most; request less")
+    month_s = 30 * 86400.0
+    if not seconds <= month_s:
+        raise ConfigError(f"{what} takes {span(seconds)} at least, and {span(month_s)} are the most; request less")
 
 
 @contextmanager
@@ -137,8 +132,9 @@ def _free_in_system() -> int | None:
 
 def in_words(size: float) -> str:
     """A number of bytes for people: `3.2 GB`."""
-    power = 0 if size < 1000 else min(int(math.log10(min(size, 1e300)) / 3), len(MEMORY_UNITS) - 1)
-    return f"{size / 1000**power:.3g} {MEMORY_UNITS[power]}"
+    units = ("bytes", "kB", "MB", "GB", "TB", "PB")
+    power = 0 if size < 1000 else min(int(math.log10(min(size, 1e300)) / 3), len(units) - 1)
+    return f"{size / 1000**power:.3g} {units[power]}"
 
 
 def span(seconds: float) -> str:

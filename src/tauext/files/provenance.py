@@ -12,8 +12,6 @@ from typing import Any
 from tauext._core import __version__ as VERSION
 from tauext.files.atomic_write import atomic_write
 
-LIBRARIES = ("numpy", "mujoco", "pyarrow")
-
 
 def write_json(content: Any, path: Path) -> None:
     """Write under a temporary name, then rename; the same content gives the same bytes."""
@@ -38,7 +36,7 @@ def provenance(command: str, settings: Any, seed: int | None) -> dict:
         "seed": seed,
         "settings": json.loads(json.dumps(plain, default=str)),
         "python": platform.python_version(),
-        "libraries": {name: version(name) for name in LIBRARIES},
+        "libraries": {name: version(name) for name in ("numpy", "mujoco", "pyarrow")},
         "machine": machine(),
     }
 

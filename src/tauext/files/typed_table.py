@@ -300,9 +300,6 @@ def has_rule(hint: Any) -> bool:
     return own or get_origin(base) is Literal or (not is_table(base) and any(map(has_rule, get_args(base))))
 
 
-WIDTH = 120
-
-
 def table_lines(
     kind: type,
     table: str,
@@ -328,7 +325,7 @@ def table_lines(
         value = json.dumps(values[name]) if name in values else example_of(kind, name)
         line = f"{'' if in_force and name in values else '# '}{name} = {value}".rstrip()
         beside = f"{line}  # {words}".removesuffix(".") if words else line
-        lines += [beside] if len(beside) <= WIDTH else [*comment_lines(words), line]
+        lines += [beside] if len(beside) <= 120 else [*comment_lines(words), line]
     return [*lines, ""]
 
 

@@ -42,8 +42,6 @@ APART_S = 0.5
 
 BEYOND = DECLARED.index("beyond")
 """From this state on a declared contact is not as declared."""
-DECLARED_NUMBERS = ("declared_size", "declared_sigma", "declared_moment_nm", "declared_travel_m")
-"""Of the estimates, in the order of DeclaredChange."""
 INFO, WARN, ERROR = 20, 30, 40
 """Urgency of a change: levels of rcl_interfaces/Log."""
 
@@ -444,12 +442,12 @@ class WeighChange(Change):
 
     def facts(self, joints: tuple[str, ...]) -> dict[str, Any]:
         """The result of weighing, and the load to set."""
-        from tauext.monitor.weighing import load_facts as facts_of_found
+        from tauext.monitor.weighing import found_facts
 
         facts: dict[str, Any] = {"what": self.what, "by": self.by, "frame": self.frame, "found": None, "load": None}
         if self.found is not None:
             load = {**load_facts(self.found.load), "error_share": self.found.load.error_share}
-            facts |= {"found": facts_of_found(self.found), "load": load}
+            facts |= {"found": found_facts(self.found), "load": load}
         return facts
 
 
@@ -553,8 +551,9 @@ class ChangeFinder:
             returns = beyond and 0 <= t_ns[k] - self._beyond_ns <= APART_S * 1e9  # a clock that was set back: not soon
             ends = now == 0 and self._declared
             if not returns and (beyond or ends or contact != self._declared_contact):
-                size, sigma, moment_nm, travel_m = (float(estimates[name][k]) for name in DECLARED_NUMBERS)
                 of = self._declared_contact if ends else contact
+                names = ("declared_size", "declared_sigma", "declared_moment_nm", "declared_travel_m")
+                size, sigma, moment_nm, travel_m = (float(estimates[name][k]) for name in names)
                 numbers, named = (size, sigma, moment_nm, travel_m), self._contacts.get(of, ("", None))
                 found.append(DeclaredChange(first_row + k, int(t_ns[k]), now, of, *numbers, *named))
             self._declared, self._declared_contact = now, contact

@@ -23,13 +23,10 @@ from tauext.monitor.sink import USUAL_REACH_M, Control
 from tauext.progress import in_plain_letters
 
 LONGEST = 1000
-LONGEST_ANSWER = 10_000
 MOST_CONNECTIONS = 8
 """Largest number of connections; beyond it the one that was silent longest is closed."""
 UNHEARD_S = 5.0
 """Additional silence of a connection without any line yet, so that it is closed before active ones."""
-UNREAD_S = 5
-"""Time in which a connection must take an answer, [s]; a whole number."""
 RETRY_S = 0.1
 CONTROL = "control socket"
 """Origin of a line from the control socket, for the log."""
@@ -136,6 +133,9 @@ def listen_at(path: Path) -> socket.socket:
 class ControlSocket:
     """A socket at this path; every received line is executed and answered by a line. Only its owner may connect."""
 
+    unread_s = 5
+    """Time in which a connection must take an answer, [s]; a whole number."""
+
     def __init__(self, path: Path, control: Control, origin: Callable[[int], str] = lambda process: CONTROL):
         """Raises ConfigError if no socket can be made, or another monitor listens there.
 
@@ -215,7 +215,7 @@ class ControlSocket:
         ):
             by = self._origin(peer_of(connection))
             # Only writing has a limit: a caller may be silent for hours.
-            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", UNREAD_S, 0))
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", self.unread_s, 0))
             while line := lines.readline(LONGEST):
                 self._speaks(connection, math.inf)
                 answer = obey(line, self._control, by)
@@ -260,7 +260,7 @@ def send_line(path: Path, line: str, patience_s: float) -> str:
             caller.connect(os.fsencode(path))
             caller.sendall(f"{line}\n".encode())
             with caller.makefile("r", encoding="utf-8", errors="replace", newline="\n") as answers:
-                answer = answers.readline(LONGEST_ANSWER).strip()
+                answer = answers.readline(10_000).strip()
     except TimeoutError:
         raise AwayError(f"{path}: no answer within {patience_s:g} s; the monitor may still execute the line") from None
     except OSError as error:

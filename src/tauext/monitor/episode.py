@@ -238,3 +238,46 @@ class EpisodeFinder:
         if self.standing.t_ns is None:
             return self.standing
         return replace(self.standing, touch_t_ns=self._touch_t_ns, over=tuple(self._over.tolist()))
+
+
+class Acknowledgement:
+    """Decides when an alarm that stands is acknowledged: after a set time, or, once it is answered, after its touch."""
+
+    def __init__(self, after_s: float | None):
+        """after_s: time after which a collision is acknowledged, [s]; None: only once it is answered."""
+        self.answered = 0
+        """Number of the answered alarm that is acknowledged once its touch is over; 0: none."""
+        self._after_ns = None if after_s is None else round(after_s * 1e9)
+        self._due_ns: int | None = None
+        """Counted time at which the alarm that stands is acknowledged; None: it is not."""
+
+    def follow(self, news: Sequence[Episode], times_ns: np.ndarray, alarm: np.ndarray) -> None:
+        """Alarms that begin and end at samples of these counted times, (rows,)."""
+        if any(one.ended for one in news):
+            self._due_ns = None
+        if self._after_ns is not None and self._due_ns is None and alarm[-1] == COLLISION:
+            self._due_ns = int(times_ns[(alarm == COLLISION).argmax()]) + self._after_ns
+
+    def rows(self, times_ns: np.ndarray) -> int:
+        """Number of samples of these counted times, at least one, before any of which nothing can become due."""
+        if self.answered or self._after_ns is None or len(times_ns) == 1:
+            return 1 if self.answered else len(times_ns)
+        due_ns = times_ns[0] + self._after_ns if self._due_ns is None else self._due_ns
+        return max(1, int(np.searchsorted(times_ns, due_ns)))
+
+    def is_due(self, now_ns: int, standing: int) -> bool:
+        """Whether the time has come, before the next sample, to acknowledge the alarm that stands.
+
+        Args:
+            now_ns: counted time of that sample.
+            standing: number of the alarm; 0: none.
+        """
+        if self.answered and self.answered != standing:  # it has ended by itself
+            self.end()
+        if self.answered and self._due_ns is None and self._after_ns is not None:  # a contact that lasts
+            self._due_ns = now_ns + self._after_ns
+        return self._due_ns is not None and now_ns >= self._due_ns
+
+    def end(self) -> None:
+        """The alarm is ended."""
+        self._due_ns, self.answered = None, 0

@@ -88,21 +88,14 @@ def unseen_words(unseen: Unseen, joints: Sequence[str]) -> str:
 # --- Numbers in sentences.
 
 
-LONGEST = 1e6
-"""Value from which decimals are meaningless."""
-
-
 def readable(value: float, spec: str) -> str:
-    """Format a value by .3f or +.2f; with four digits and a power of ten from LONGEST on."""
-    if abs(value) < LONGEST or value != value:
+    """Format a value by .3f or +.2f; from 1e6 on, where decimals are meaningless, as four digits and a power of ten."""
+    if abs(value) < 1e6 or value != value:
         return format(value, spec)
     return format(value, ("+" if spec.startswith("+") else "") + ".4g")
 
 
 # --- Explains a contact or collision: which limit, by how much, and the terms of the estimate.
-
-
-MOST_OTHERS = 3
 
 
 def over_limit(flight: Flight, source: FlightSource, kind: str) -> str:
@@ -225,7 +218,7 @@ def others(flight: Flight, source: FlightSource, kind: str) -> str:
     if kind == "fault" or not rest:
         return ""
     share = np.abs(unexplained(flight)[row]) / limits_of(flight, kind)[row]
-    nearest = sorted(rest, key=lambda j: -share[j])[:MOST_OTHERS]
+    nearest = sorted(rest, key=lambda j: -share[j])[:3]
     return f"Other joints, nearest to their {kind} limits first: {loads(flight, row, source, nearest, kind)}."
 
 
@@ -283,12 +276,6 @@ def last_estimate(flight: Flight, source: FlightSource) -> str:
 # --- Whether a load raised the alarm: the flight's samples after the event are weighed.
 
 
-SETTLED = 5.0
-"""Settling time of r after the event in 1/K0, to 99 % of a step."""
-ONE_ROW = 1.5
-"""Longest step between two samples in periods of the chain; after a longer gap r restarts."""
-
-
 def fits_load(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
     """Sentence on a load that explains the torques behind an alarm; empty if none does or the motion is too poor.
 
@@ -327,13 +314,14 @@ def behind_the_event(flight: Flight, kept: np.ndarray, source: FlightSource) -> 
     chain, row = source.bundle, flight["event_row"]
     observer = chain.observer
     recording = as_recording(flight, kept, "flight", source, {})
-    place = np.flatnonzero(kept)
+    rows = np.flatnonzero(kept)
     t_ns = flight["t_ns"][kept]
     slowest_per_s = min(observer.gain_per_s, observer.low_pass_per_s or observer.gain_per_s)
-    settled_ns = flight["event"].t_ns + SETTLED / slowest_per_s * 1e9
+    settled_ns = flight["event"].t_ns + 5 / slowest_per_s * 1e9  # r has then settled to 99 % of a step
     ends = [changed for changed, _ in carried(flight)[1:] if changed > row]
-    usable = (t_ns >= settled_ns) & (flight["health"][kept] == OK) & (place < min(ends, default=len(kept)))
-    gaps = np.flatnonzero(np.diff(t_ns) > ONE_ROW * observer.sample_period_ns * observer.network_stride)
+    usable = (t_ns >= settled_ns) & (flight["health"][kept] == OK) & (rows < min(ends, default=len(kept)))
+    # After a gap of more than a period of the chain r restarts.
+    gaps = np.flatnonzero(np.diff(t_ns) > 1.5 * observer.sample_period_ns * observer.network_stride)
     if len(gaps):
         usable[: gaps[-1] + 1] = False
     samples = np.flatnonzero(usable)[:: observer.network_stride]
@@ -344,10 +332,6 @@ def behind_the_event(flight: Flight, kept: np.ndarray, source: FlightSource) -> 
 
 
 # --- Text of a flight: event, time, joint, excess over the limit, and the time before.
-
-
-MOST_HEALTHS = 5
-MOST_SAMPLES_SHOWN = 10
 
 
 def explain(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
@@ -404,7 +388,7 @@ def load_set(flight: Flight, source: FlightSource) -> str:
     return f"{text}."
 
 
-def before(flight: Flight) -> str:
+def before(flight: Flight, most_shown: int = 5) -> str:
     """Health over the samples before the event, oldest first."""
     row = flight["event_row"]
     if row == 0:
@@ -417,7 +401,7 @@ def before(flight: Flight) -> str:
         why = f" ({in_words(_core.cause_names(causes))})" if causes else ""
         runs.append(f"{HEALTHS[health]}{why} for {seconds:.3f} s")
         begin = end
-    shown = ["..."] * (len(runs) > MOST_HEALTHS) + runs[-MOST_HEALTHS:]
+    shown = ["..."] * (len(runs) > most_shown) + runs[-most_shown:]
     return f"Health before: {', then '.join(shown)}."
 
 
@@ -462,19 +446,19 @@ def after(flight: Flight, source: FlightSource, kind: str) -> str:
     return text + f"health at the end was {HEALTHS[int(health[-1])]}."
 
 
-def left_out(flight: Flight, kept: np.ndarray, source: FlightSource) -> list[str]:
+def left_out(flight: Flight, kept: np.ndarray, source: FlightSource, most_shown: int = 10) -> list[str]:
     """Lines on the samples left out of the files, with their values."""
     gone = np.flatnonzero(~kept)
     if len(gone) == 0:
         return []
     plural = "samples that do not fit a recording are" if len(gone) > 1 else "sample that does not fit a recording is"
     lines = [f"{len(gone)} of {len(kept)} {plural} left out (values that are not finite, or a time not later):"]
-    for row in gone[:MOST_SAMPLES_SHOWN].tolist():
+    for row in gone[:most_shown].tolist():
         t_ns = int(flight["t_ns"][row])
         values = [
             f"{name} = [{', '.join(f'{value:.6g}' for value in flight[name][row])}]" for name in ("q", "dq", "tau")
         ]
         lines.append(f"  t_ns = {t_ns} ({source.time_s(t_ns):.3f} s): {', '.join(values)}")
-    if len(gone) > MOST_SAMPLES_SHOWN:
-        lines.append(f"  and {len(gone) - MOST_SAMPLES_SHOWN} more.")
+    if len(gone) > most_shown:
+        lines.append(f"  and {len(gone) - most_shown} more.")
     return lines

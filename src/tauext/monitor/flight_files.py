@@ -1,17 +1,13 @@
-"""The files of a flight, written by a thread: recording, estimates, explanation."""
+"""The files of a flight: recording, estimates, explanation."""
 
 from __future__ import annotations
 
 import csv
 import os
-import threading
-from collections import deque
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -19,7 +15,7 @@ from tauext import _core
 from tauext.bundle.estimates import save_estimates
 from tauext.data.recording_file import save_recording
 from tauext.data.servo import AMPERES
-from tauext.errors import ConfigError, RecordingError, TauextError
+from tauext.errors import ConfigError, RecordingError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.provenance import VERSION
 from tauext.monitor.explanation import explain
@@ -35,12 +31,7 @@ from tauext.monitor.flight_content import (
 )
 from tauext.monitor.loads import load_facts
 
-# --- A thread that writes flights to disk while samples continue.
-
-
-POLL_S = 0.05
-MOST_WAITING = 4
-"""Most flights in memory before a replay waits for the disk."""
+# --- Flights that were asked for, and what became of them.
 
 
 @dataclass(frozen=True)
@@ -70,13 +61,13 @@ class FlightCount:
     """Faults without a flight, since one with their causes was written in the minute before."""
 
     def add(self, news: FlightNews) -> None:
-        """Count one more."""
+        """Count one more flight."""
         self.written += news.error is None
         self.failed += news.error is not None
         self.error = self.error or news.error or ""
 
     def merge(self, other: FlightCount) -> None:
-        """Add another recording's."""
+        """Add the counts of another recording."""
         self.repeated += other.repeated
         self.written, self.failed = self.written + other.written, self.failed + other.failed
         self.missed += other.missed
@@ -115,122 +106,6 @@ class FlightSettings:
             raise ConfigError(f"{self.folder}: no folder for flights ({error.strerror or error})") from error
         period_ns = bundle.observer.sample_period_ns
         return _core.FlightRecorder(bundle.joints, period_ns, self.before_s, self.after_s, self.contacts)
-
-
-class FlightWriter:
-    """Takes flights from a recorder and writes them: `with FlightWriter(recorder, write) as writer: ...`.
-
-    A flight that cannot be written is reported in news(), and the thread continues. Leaving the block takes the event
-    that still waits for samples, writes everything and ends the thread; nothing is lost.
-    """
-
-    def __init__(
-        self,
-        recorder: _core.FlightRecorder,
-        write: Callable[[Flight], Path],
-        poll_s: float = POLL_S,
-        fault_every_s: float = 0.0,
-    ):
-        """
-        Args:
-            write: writes one flight and returns its path; raises TauextError on failure.
-            fault_every_s: least time between two flights of faults with the same causes; others are counted in
-                `repeated`.
-        """
-        self.recorder, self._write, self._poll_s = recorder, write, poll_s
-        self.repeated = 0
-        self._fault_every_ns = round(fault_every_s * 1e9)
-        self._faults: dict[str, int] = {}
-        """Stamp of the newest written fault of each cause, [ns]."""
-        self._waiting: deque[Flight] = deque()
-        self._news: deque[FlightNews] = deque()
-        self._taking = threading.Lock()
-        self._wake = threading.Event()
-        self._ended = threading.Event()
-        self._broken: BaseException | None = None
-        self._thread = threading.Thread(target=self._work, name="flight writer", daemon=True)
-
-    def __enter__(self) -> FlightWriter:
-        self._thread.start()
-        return self
-
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        try:
-            self._take()
-            self.recorder.finish()
-            self._take()
-        finally:
-            self._ended.set()
-            self._wake.set()
-            self._thread.join()
-        if self._broken is not None and error is None:
-            raise self._broken
-
-    def catch_up(self) -> None:
-        """Take the finished flight and wait while too many are in memory; for replays, which may wait."""
-        self._take()
-        while self.waiting > MOST_WAITING and self._thread.is_alive():
-            self._wake.set()
-            self._thread.join(timeout=0.01)
-
-    @property
-    def waiting(self) -> int:
-        """Number of flights not yet on disk."""
-        return len(self._waiting)
-
-    def news(self) -> list[FlightNews]:
-        """Flights written or lost since the last call."""
-        news = []
-        while self._news:
-            news.append(self._news.popleft())
-        return news
-
-    def _take(self) -> None:
-        with self._taking:
-            flight = self.recorder.take()
-            if flight is not None:
-                self._waiting.append(flight)
-                self._wake.set()
-
-    def _work(self) -> None:
-        try:
-            while True:
-                ended = self._ended.is_set()
-                self._wake.clear()
-                self._take()
-                while self._waiting:
-                    if self._is_repeated(self._waiting[0]):
-                        self.repeated += 1
-                    else:
-                        self._news.append(self._written(self._waiting[0]))
-                    self._waiting.popleft()
-                if ended:
-                    return
-                self._wake.wait(self._poll_s)
-        except BaseException as broken:  # a bug: raised by the thread that waits for this one
-            self._broken = broken
-
-    def _is_repeated(self, flight: Flight) -> bool:
-        """Whether it is a fault whose causes all had a flight just before."""
-        if not self._fault_every_ns or event_kind(flight) != "fault":
-            return False
-        t_ns, causes = int(flight["event"].t_ns), list(flight["event"].causes)
-        if causes and all(abs(t_ns - self._faults.get(one, -(1 << 62))) < self._fault_every_ns for one in causes):
-            return True
-        self._faults |= dict.fromkeys(causes, t_ns)
-        return False
-
-    def _written(self, flight: Flight) -> FlightNews:
-        what, event = event_kind(flight), flight["event"]
-        path, failed = None, None
-        try:
-            path = self._write(flight)
-        except TauextError as error:
-            failed = str(error)
-        except Exception as error:  # a bug: reported now, and raised at the end; the thread goes on
-            self._broken = self._broken or error
-            failed = f"{type(error).__name__}: {error}"
-        return FlightNews(what, int(event.t_ns), path, failed, 0 if what == "fault" else event.alarm_number)
 
 
 # --- Files of a flight: recording, estimates and explanation; written atomically, never over existing files.

@@ -13,11 +13,6 @@ from tauext.errors import ConfigError
 from tauext.files.provenance import VERSION
 from tauext.monitor.weighing import NamedFrame, WeighedMotion, identify, load_sentences, weighing_joints
 
-MOST_FACTOR = 5.0
-"""Largest error factor of constants in N m: beyond it the error is a gear ratio or a unit."""
-MOST_RATIO = 1e6
-"""Largest error factor in any unit: a smaller estimated mass is no weight."""
-
 
 def weigh_constants(
     bundle: _core.Bundle,
@@ -26,8 +21,14 @@ def weigh_constants(
     mass_kg: float,
     com_m: Sequence[float] | None = None,
     reach_m: float = LoadFound.USUAL_REACH_M,
+    most_factor: float = 5.0,
+    most_ratio: float = 1e6,
 ) -> KnownWeight:
     """Find the factors on the bundle's torques from a load of known mass.
+
+    Args:
+        most_factor: largest error factor of constants in N m: beyond it the error is a gear ratio or a unit.
+        most_ratio: largest error factor in any unit: a smaller estimated mass is no weight.
 
     Raises:
         ConfigError: no load is detected, no torque constant is off by so much, or the motion does not determine the
@@ -37,10 +38,10 @@ def weigh_constants(
     if first.verdict != "load" or not first.mass_seen:
         reason = load_sentences(first, frame.name, "N m")[0]
         raise ConfigError(f"--known-kg {mass_kg:g} cannot set torque constants: {reason}")
-    if not first.mass_kg * MOST_RATIO > mass_kg:
+    if not first.mass_kg * most_ratio > mass_kg:
         raise ConfigError(
             f"--known-kg {mass_kg:g} cannot set torque constants: the estimated mass is {first.mass_kg:.2g} kg, "
-            f"a factor of more than {MOST_RATIO:g} less; are these the recordings with the weight?"
+            f"a factor of more than {most_ratio:g} less; are these the recordings with the weight?"
         )
     try:
         known = _core.weigh_known(
@@ -49,7 +50,7 @@ def weigh_constants(
         )  # fmt: skip
     except _core.CoreError as error:
         raise ConfigError(f"--known-kg {mass_kg:g} cannot set torque constants: {error}") from None
-    if bundle.units.relative_to < 0 and not 1 / MOST_FACTOR < known.common < MOST_FACTOR:
+    if bundle.units.relative_to < 0 and not 1 / most_factor < known.common < most_factor:
         raise ConfigError(
             f"{mass_kg:g} kg would make every torque {known.common:.3g} times as large; torque constants are not off "
             "by so much: is the weight in kg, and the tau in the bundle's unit?"

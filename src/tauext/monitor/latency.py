@@ -11,8 +11,6 @@ import numpy as np
 
 
 BINS_PER_OCTAVE = 64
-OCTAVES = 40
-"""Number of bins, up to 2^40 ns or 18 minutes; longer times count in the last bin and in max."""
 
 
 class Latencies:
@@ -20,14 +18,14 @@ class Latencies:
 
     def __init__(self) -> None:
         self.count, self.max_ns = 0, 0
-        self._bins = [0] * (BINS_PER_OCTAVE * OCTAVES)
+        self._bins = [0] * (BINS_PER_OCTAVE * 40)  # up to 2^40 ns or 18 minutes; longer times count in the last bin
 
     def add(self, ns: int) -> None:
         """Count one time, [ns]; negative ones count as 1 ns."""
         self.count += 1
         self.max_ns = max(self.max_ns, ns)
-        place = int(math.log2(max(ns, 1)) * BINS_PER_OCTAVE)
-        self._bins[min(place, len(self._bins) - 1)] += 1
+        index = int(math.log2(max(ns, 1)) * BINS_PER_OCTAVE)
+        self._bins[min(index, len(self._bins) - 1)] += 1
 
     def add_all(self, ns: np.ndarray) -> None:
         """Count some times, at least one, [ns]."""
@@ -35,16 +33,16 @@ class Latencies:
             return self.add(int(ns[0]))
         self.count += len(ns)
         self.max_ns = max(self.max_ns, int(ns.max()))
-        places = (np.log2(np.maximum(ns, 1)) * BINS_PER_OCTAVE).astype(int)
-        for place, count in zip(*np.unique(np.minimum(places, len(self._bins) - 1), return_counts=True), strict=True):
-            self._bins[place] += int(count)
+        bins = (np.log2(np.maximum(ns, 1)) * BINS_PER_OCTAVE).astype(int)
+        for index, count in zip(*np.unique(np.minimum(bins, len(self._bins) - 1), return_counts=True), strict=True):
+            self._bins[index] += int(count)
 
     def quantile_us(self, share: float) -> float:
         """The quantile of this share, [µs]; NaN without any time."""
         if self.count == 0:
             return math.nan
-        place = int(np.searchsorted(np.cumsum(self._bins), max(1, math.ceil(share * self.count))))
-        return min(2 ** ((place + 1) / BINS_PER_OCTAVE), self.max_ns) * 1e-3
+        index = int(np.searchsorted(np.cumsum(self._bins), max(1, math.ceil(share * self.count))))
+        return min(2 ** ((index + 1) / BINS_PER_OCTAVE), self.max_ns) * 1e-3
 
     def summary(self) -> dict[str, float | int | None]:
         """Quantiles as plain JSON; null without times."""

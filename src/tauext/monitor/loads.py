@@ -14,11 +14,7 @@ from tauext.files.plain_file import read_toml
 from tauext.files.typed_table import expect_known, read_table, table_of_line
 
 USAGE = "none, or mass=KG com=X,Y,Z inertia=XX,YY,ZZ,XY,XZ,YZ error=SHARE; only mass is required"
-EXPECTED_USAGE = "seconds=S at_most=KG: for how long, and the most that may be carried then"
 NOTHING = Load()
-MOST_AGO_S = 1e6
-LATEST_S = 1e9
-"""Largest time of a load, [s]; stamps in nanoseconds allow nine times as much."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +43,7 @@ AnyLoad = TypeVar("AnyLoad", bound=LoadTable)
 class LaterLoad(LoadTable):
     """Keys of a load in a file of loads."""
 
-    from_s: Annotated[float, within(0, LATEST_S)] = 0.0
+    from_s: Annotated[float, within(0, 1e9)] = 0.0  # stamps in nanoseconds allow nine times as much
 
 
 @dataclass(frozen=True)
@@ -71,7 +67,7 @@ class Expected:
 class LoadLine(LoadTable):
     """Keys of a load in a control line."""
 
-    ago: Annotated[float, within(0, MOST_AGO_S)] | None = None
+    ago: Annotated[float, within(0, 1e6)] | None = None
     """Time since the load was picked up, [s]."""
 
 
@@ -84,7 +80,9 @@ def expected_of_text(text: str) -> Expected:
     where = f"expect {text.strip()[:80]!r}"
     head, table = table_of_line(Expected, text, where)
     if head or not table:
-        raise ConfigError(f"{where} cannot be read; it is {EXPECTED_USAGE}")
+        raise ConfigError(
+            f"{where} cannot be read; it is seconds=S at_most=KG: for how long, and the most that may be carried then"
+        )
     return read_table(Expected, table, f"{where}:")
 
 

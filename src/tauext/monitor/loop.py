@@ -6,44 +6,27 @@ import gc
 import math
 import queue
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
-from pathlib import Path
+from typing import Protocol, cast
 
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.estimates import COLLISION, OK
+from tauext.bundle.estimates import OK
 from tauext.config import require
 from tauext.errors import ConfigError, TauextError
+from tauext.monitor.cell_file import Profile, Profiles
 from tauext.monitor.changes import WeighChange
-from tauext.monitor.episode import EpisodeFinder
-from tauext.monitor.exchange import (
-    FIRST_QUIET_S,
-    MARK_S,
-    NO_BUNDLE,
-    QUIET_S,
-    AnyMonitor,
-    Exchanged,
-    NoMonitor,
-    Ring,
-    Successor,
-    exchange,
-    holds_back,
-    put_load,
-    why_not_exchange,
-)
+from tauext.monitor.episode import Acknowledgement, EpisodeFinder
+from tauext.monitor.event_stream import Chunk, EventStream
 from tauext.monitor.latency import Latencies, ask_for_real_time
 from tauext.monitor.loads import Expected, TimedLoad
 from tauext.monitor.monitored_time import LATE_S, Monitored, MonitoredTime
+from tauext.monitor.no_monitor import NO_BUNDLE, AnyMonitor, NoMonitor
 from tauext.monitor.phases import Announced, Phases, bounds_words
-from tauext.monitor.profiles import Profile, Profiles
 from tauext.monitor.reactions import Reactions
-from tauext.monitor.replay import Chunk, EventStream
 from tauext.monitor.sink import (
     USUAL_REACH_M,
     AnswerKind,
@@ -58,10 +41,10 @@ from tauext.monitor.source import (
     Commanded,
     CountedTime,
     Recorded,
-    ServoStage,
     Source,
     SourceSettings,
     blocks_of,
+    servo_stage,
     settings_of,
 )
 from tauext.monitor.touch_place import PlaceFinder
@@ -86,11 +69,8 @@ def chunk_of(verdicts: Sequence[Verdict]) -> Chunk:
 # --- The loop. Sinks and reactions of a live arm never delay the monitor.
 
 
-BLOCK_S = 0.1
 IDLE_S = 0.1
 """Interval of checks for requests while no sample comes."""
-SWITCH_S = 0.0005
-"""Switch interval of the interpreter's threads, [s]; Python's default of 5 ms is five samples."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +92,7 @@ class LoopSettings:
     """Real-time priority of these threads and processes."""
     wrench: str | None = None
     """Frame at which the force of a touch is also estimated; None: none."""
-    block_s: float = BLOCK_S
+    block_s: float = 0.1
     """Longest time of the samples that are judged at once, [s]: requests are executed between two blocks. 0: a sample
     at a time."""
 
@@ -128,11 +108,47 @@ class ProfileSwitch:
     new: str
 
 
+class BundleSupply(Protocol):
+    """Brings other bundles into a running loop, by Loop.take_over(); the loop's thread calls all of this."""
+
+    def start(self) -> None:
+        """Begin; threads that start here get no real-time core and priority."""
+
+    def end(self) -> None:
+        """The loop has ended."""
+
+    def judged(self, block: Block, estimates: dict[str, np.ndarray]) -> None:
+        """The loop's monitor has judged these samples."""
+
+    def missed(self, t_ns: int) -> None:
+        """A sample did not come."""
+
+    def load_set(self, load: _core.Load, since_ns: int | None) -> None:
+        """The loop has set a load in its monitor."""
+
+    def resumed(self) -> None:
+        """The loop has resumed its monitor."""
+
+
 class Loop:
     """Runs a bundle's monitor on a source until that ends, or until a stop request or Ctrl-C.
 
     The control of the loop (use_profile, acknowledge, resume, set_load, weigh, stop) may be called by any thread.
     """
+
+    supply: BundleSupply | None = None
+    """What brings other bundles; set it before run()."""
+    missing = samples = 0
+    monitored = Monitored()
+    """Share of the time in which the arm was monitored, once a second."""
+    profile: Profile | None = None
+    """The active profile."""
+    stopped = False
+    """Whether a request ended the loop, not its source or its duration."""
+    last_t_ns: int | None = None
+    """Stamp of the last sample, [ns]; None: none came yet."""
+    _received_ns = 0
+    """Its reception, by time.monotonic_ns()."""
 
     def __init__(
         self,
@@ -150,75 +166,44 @@ class Loop:
         """Raises ConfigError where the parts do not fit each other.
 
         Args:
-            bundle: None with an arm: nothing is monitored until exchange() brings one.
+            bundle: None with an arm: nothing is monitored until take_over() brings one.
             recorder: receives every sample, and NaN for a missing one; the caller takes its flights.
-            arm: what the source delivers, whatever the bundle; with it the bundle can be exchanged.
-            phases: contacts that the task means. Not where the bundle can be exchanged: training would learn from them.
+            arm: what the source delivers, whatever the bundle; None: what the bundle expects.
+            phases: contacts that the task means.
             loads: of the arm in a recording, with the times from which on it carries them.
         """
-        if arm is not None and bundle is not None and (reason := why_not_exchange(bundle, arm)):
-            raise ConfigError(reason)
-        if bundle is not None:
-            self._arm = arm or settings_of(bundle)
-        elif arm is not None:
-            self._arm = arm
-        else:
+        if bundle is None and arm is None:
             raise ConfigError("a loop needs a bundle, or an arm that waits for one")
+        self._arm = arm or settings_of(cast(_core.Bundle, bundle))
+        self.joints, self.bundle, self.settings = self._arm.joints, bundle, settings
         self.monitor: AnyMonitor = NoMonitor(self._arm) if bundle is None else _core.Monitor(bundle, settings.own_rate)
-        self.joints = self._arm.joints
         self.sinks = list(sinks)
         """Sinks in the order in which they receive verdicts; add before run()."""
         self.note: Callable[[str], None] = lambda text: None
         """Called in the loop's thread with messages for the user; set it and `switched` before run()."""
         self.switched: Callable[[ProfileSwitch], None] = lambda switch: None
         """Called in the loop's thread with every new profile."""
-        self.tick = Latencies()
-        """Time from a sample's reception until every sink has received its verdict."""
-        self.missing = self.samples = 0
-        self.monitored = Monitored()
-        """Share of the time in which the arm was monitored, once a second."""
-        self.exchanged: Callable[[Exchanged], None] = lambda exchanged: None
-        """Called in the loop's thread with every exchange of the bundle."""
-        self._bundle, self._source, self._reactions = bundle, source, reactions or Reactions()
-        self._reacts = reactions is not None
-        self._turns = Turns(self._arm, bundle)
-        servo = self._arm.servo
-        self._recorded, self._loads = source if isinstance(source, Recorded) else None, loads
-        is_made = self._recorded is not None and self._recorded.is_made
-        self._servo = ServoStage(servo) if servo is not None and servo.on and not is_made else None
+        self._source, self._recorded, self._loads = source, source if isinstance(source, Recorded) else None, loads
+        self._turns, self._servo = Turns(self._arm, bundle), servo_stage(self._arm, self._recorded)
         self._profiles, self._recorder = profiles, recorder
-        self._profile: Profile | None = None
-        self._settings = settings
+        self._reactions, self._reacts = reactions or Reactions(), reactions is not None
         self._requests: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         """Requests that the loop's thread executes before the next sample."""
         places = None if bundle is None else PlaceFinder(bundle, settings.wrench)
-        if reason := self._why_refused(self.monitor, places):
+        if reason := self.why_refused(self.monitor, places):
             raise ConfigError(reason)
         self._changes = EventStream(self.monitor, places, phases)
         self._facts = {"bundle": "" if bundle is None else bundle.name, "source": source.name}
         self._events, self._episodes = EventFinder(self.joints, self._facts), EpisodeFinder(self._facts["bundle"])
-        self._ring = None if arm is None else Ring(len(self.joints), arm.period_ns)
-        self._model = 0 if bundle is None else bundle.model_digest
-        self._mark_ns: int | None = None
-        self._load_kg = 0.0
-        self._exchanges: queue.SimpleQueue[tuple[Path, Callable[[str], None]] | None] = queue.SimpleQueue()
-        self._time = CountedTime(self._arm.period_ns)
-        self._due_ns: int | None = None
-        """Counted time at which the alarm that stands is acknowledged; None: it is not."""
-        self._jumps, self._timed = 0, set[str]()
-        """Jumps of the stamps so far; what was requested for a time since the last one, for the note at the next."""
-        self._answered = 0
-        """Number of the answered alarm that is acknowledged once its touch is over; 0: none."""
-        self._last_t_ns: int | None = None
-        """Stamp of the last sample, [ns]; None: none came yet."""
-        self._received_ns = 0
-        """Its reception, by time.monotonic_ns()."""
-        self._stopped = False
+        self._acknowledgement = Acknowledgement(settings.acknowledge_after_s)
+        self._time, self._jumps = CountedTime(self._arm.period_ns), 0
+        self._timed = set[str]()
+        """What was requested for a time since the last jump of the stamps, for the note at the next one."""
         period_s = self.monitor.sample_period_ns * 1e-9
         self._most_rows = max(1, round(settings.block_s / period_s))
-        self._running = True
         self._missing_after_s = settings.missing_after_s or period_s + max(period_s, 0.002)
-        self._second = Latencies()
+        self.tick, self._second = Latencies(), Latencies()
+        """Time from a sample's reception until every sink has received its verdict, from the start and in a second."""
         self._watched = MonitoredTime(self._missing_after_s)
 
     # Control: any thread; see Control.
@@ -241,12 +226,12 @@ class Loop:
         self._requests.put(lambda: self._carry(load, ago_s, by))
 
     def expect_load(self, expected: Expected, by: str) -> None:
-        if reason := self._why_not(expected):
+        if reason := self.monitor.why_not_expected(expected.seconds, expected.at_most):
             raise ConfigError(reason)
         self._requests.put(lambda: self._expect(expected, by))
 
     def declare(self, announced: Announced, by: str) -> None:
-        if self._ring is not None:
+        if self.supply is not None:
             raise ConfigError("contact: an arm that is being commissioned learns from its motion; use `tauext monitor`")
         named = self._changes.phases.named(announced.name) if announced.name else None
         contact = announced.contact if named is None else named.contact
@@ -254,10 +239,7 @@ class Loop:
             raise ConfigError(reason)
         self._requests.put(lambda: self._declare(announced, contact, by))
 
-    def _why_not(self, expected: Expected) -> str:
-        return self.monitor.why_not_expected(expected.seconds, expected.at_most)
-
-    def _why_refused(self, monitor: AnyMonitor, places: PlaceFinder | None) -> str:
+    def why_refused(self, monitor: AnyMonitor, places: PlaceFinder | None) -> str:
         """Reason why profiles or reactions do not work with this monitor; empty: they do."""
         for profile in self._profiles.by_name.values() if self._profiles else ():
             load, expect = profile.load, profile.expect
@@ -298,25 +280,9 @@ class Loop:
     def stop(self, by: str) -> None:
         self._requests.put(lambda: self._stop(by))
 
-    def exchange(self, path: Path, done: Callable[[str], None]) -> None:
-        """Bring the bundle of this file into the loop, between two samples, once it has caught up and is quiet.
-
-        A newer request replaces one that still waits.
-
-        Args:
-            done: called in another thread with "" after the exchange, or with the reason why there is none.
-
-        Raises:
-            ConfigError: the loop was made without an arm.
-        """
-        if self._ring is None:
-            raise ConfigError("only a loop that was made with an arm can exchange its bundle")
-        self._exchanges.put((path, done))
-
-    @property
-    def carried(self) -> bytes:
-        """What the monitor carried at the newest second, for start_from(); empty: nothing yet."""
-        return b"" if self._ring is None else self._ring.carried
+    def request(self, act: Callable[[], None]) -> None:
+        """Have the loop's thread do this before the next sample; any thread."""
+        self._requests.put(act)
 
     def start_from(self, carried: bytes, alarms: int, is_answered: bool = False) -> str:
         """Before run(): continue what an earlier loop's `carried` holds; returns "" or the reason why it cannot.
@@ -333,11 +299,10 @@ class Loop:
             self.monitor.carry_alarm(carried)
         except _core.CoreError as error:
             return str(error)
-        self._load_kg = self.monitor.load.mass
         last = self.monitor.last
         if last.alarm != _core.Alarm.none:
             self.monitor.alarms = number = max(alarms, 1)
-            self._answered = number if is_answered else 0
+            self._acknowledgement.answered = number if is_answered else 0
             self._changes.stand(last.alarm.value, number)
             self._episodes.stand(number, last.alarm.value, last.alarm_joint)
         return ""
@@ -346,16 +311,6 @@ class Loop:
     def alarms(self) -> int:
         """Number of alarms so far, which is the newest one's number."""
         return self.monitor.alarms
-
-    @property
-    def profile(self) -> Profile | None:
-        """The active profile."""
-        return self._profile
-
-    @property
-    def stopped(self) -> bool:
-        """Whether a request ended the loop, not its source or its duration."""
-        return self._stopped
 
     # The loop: one thread.
 
@@ -377,19 +332,19 @@ class Loop:
                 sink.open(self.joints, self)
                 opened.append(sink)
             self._sinks_follow()
-            if self._ring is not None:  # before a core and a priority are taken, which threads inherit
-                threading.Thread(target=self._exchange_each, name="exchange", daemon=True).start()
-            for text in ask_for_real_time(self._settings.core, self._settings.priority):
+            if self.supply is not None:  # before a core and a priority are taken, which threads inherit
+                self.supply.start()
+            for text in ask_for_real_time(self.settings.core, self.settings.priority):
                 self.note(text)
             self._source.open(self._arm)
-            sys.setswitchinterval(SWITCH_S)
+            sys.setswitchinterval(0.0005)  # of the interpreter's threads; Python's default of 5 ms is five samples
             gc.collect()
             gc.freeze()  # excludes present objects from collections during the loop
             self._run()
         finally:
             gc.unfreeze()
-            self._running = False
-            self._exchanges.put(None)
+            if self.supply is not None:
+                self.supply.end()
             sys.setswitchinterval(interval)
             self.monitored = self._watched.second()
             self._source.close()
@@ -420,7 +375,7 @@ class Loop:
         while not self._source.ended:
             while not self._requests.empty():
                 self._do(self._requests.get())
-            if self._stopped:
+            if self.stopped:
                 return
             now = time.monotonic()
             taken = self.samples
@@ -430,13 +385,13 @@ class Loop:
                 due = self._received_ns * 1e-9 + self._missing_after_s
             else:
                 now = time.monotonic()
-                if now >= due and self._last_t_ns is not None and not self._source.ended:
+                if now >= due and self.last_t_ns is not None and not self._source.ended:
                     due = now + self._missed(now)
             now = time.monotonic()
             if now >= second + 1:
                 self._report((self.samples - before) / (now - second))
                 second, before = now, self.samples
-            if self._settings.duration_s is not None and now >= started + self._settings.duration_s:
+            if self.settings.duration_s is not None and now >= started + self.settings.duration_s:
                 return
 
     def _do(self, request: Callable[[], None]) -> None:
@@ -483,16 +438,9 @@ class Loop:
             begin = end
 
     def _rows_at_once(self, t_ns: np.ndarray, times_ns: np.ndarray, is_sized: bool) -> int:
-        """Number of these samples, at least one, before any of which nothing is to be done; do what is due before them.
-
-        An answered alarm is acknowledged with the first sample after its touch.
-        """
+        """Do what is due before these samples; number of them, at least one, before any of which nothing is due."""
         next_ns = self._changes.act_when_due(self.samples, int(t_ns[0]))
-        rows = 1 if self._answered or not is_sized else len(times_ns)
-        after_s = self._settings.acknowledge_after_s
-        if rows > 1 and after_s is not None:
-            due_ns = times_ns[0] + round(after_s * 1e9) if self._due_ns is None else self._due_ns
-            rows = max(1, min(rows, int(np.searchsorted(times_ns, due_ns))))
+        rows = self._acknowledgement.rows(times_ns) if is_sized else 1
         if rows > 1 and next_ns is not None:
             rows = min([rows, *(1 + np.flatnonzero(t_ns[1:rows] >= next_ns)[:1]).tolist()])
         return rows
@@ -510,11 +458,11 @@ class Loop:
         else:
             estimates = self.monitor.run_wrong_size(int(block.t_ns[0]), self._recorder)
         core_s = (time.monotonic_ns() - began_ns) * 1e-9
-        self._last_t_ns, self._received_ns = int(block.t_ns[-1]), int(block.received_ns[-1])
+        self.last_t_ns, self._received_ns = int(block.t_ns[-1]), int(block.received_ns[-1])
         if self.monitor.clock_jumps != self._jumps:
             self._note_jump()
-        if self._ring is not None:
-            self._remember(self._ring, block, estimates)
+        if self.supply is not None:
+            self.supply.judged(block, estimates)
         self._publish(block.t_ns, block, times_ns, estimates, core_s)
         self.samples += len(block)
         now_ns = time.monotonic_ns()
@@ -526,95 +474,27 @@ class Loop:
 
     def _missed(self, now: float) -> float:
         """Report a missing sample to the monitor; returns the time to wait, [s], which grows while none comes."""
-        assert self._last_t_ns is not None  # silence counts from a sample
+        assert self.last_t_ns is not None  # silence counts from a sample
         self.missing += 1
         silent_s = now - self._received_ns * 1e-9
-        t_ns = self._last_t_ns + round(silent_s * 1e9)
+        t_ns = self.last_t_ns + round(silent_s * 1e9)
         time_ns = self._time.step(t_ns)
         self._acknowledge_when_due(time_ns)
-        if self._ring is not None:
-            self._ring.miss(t_ns)
+        if self.supply is not None:
+            self.supply.missed(t_ns)
         estimates = self.monitor.run_missing(t_ns, self._recorder)
         self._publish(np.array([t_ns]), None, np.array([time_ns]), estimates)
         self._watched.miss(time.monotonic_ns(), int(estimates["causes"][0]))
         return max(self.monitor.sample_period_ns * 1e-9, min(IDLE_S, silent_s / 10))
 
-    def _remember(self, ring: Ring, block: Block, estimates: dict[str, np.ndarray]) -> None:
-        """For the next bundle: these samples, what they did to the load, and what is carried once a second."""
-        kg, t_ns = estimates["load_kg"], int(block.t_ns[-1])
-        if kg[-1] != self._load_kg or (kg != kg[0]).any():
-            k = int(np.flatnonzero(np.append(self._load_kg, kg[:-1]) != kg)[-1])
-            self._load_kg, since_ns = float(kg[-1]), int(estimates["load_found_ns"][-1])
-            ring.act(partial(put_load, load=self.monitor.load, since_ns=since_ns or None), ahead=k)
-        held = np.maximum(estimates["held_alarm"], holds_back(estimates["load_phase"]))
-        ring.add(block, held)
-        if isinstance(self.monitor, _core.Monitor):
-            if self._mark_ns is None or not 0 <= t_ns - self._mark_ns < MARK_S * 1e9:
-                self._mark_ns = t_ns
-                ring.mark(self.monitor.carried(), self._model)
-
-    # Exchange of the bundle.
-
-    def _exchange_each(self) -> None:
-        """In a thread of its own, which no real-time priority reaches."""
-        assert self._ring is not None
-
-        def why_not(successor: Successor) -> str:
-            return self._why_refused(successor.monitor, successor.places)
-
-        def stop() -> str:
-            return (
-                ""
-                if self._running and self._exchanges.empty()
-                else "a newer bundle, or the end of the loop, came first"
-            )
-
-        given, calls = self._settings, (why_not, self._ask_to_take_over, stop)
-        while (request := self._exchanges.get()) is not None:
-            path, done = request
-            quiet_s = FIRST_QUIET_S if isinstance(self.monitor, NoMonitor) else QUIET_S
-            try:  # whatever is wrong, the next bundle must find this thread
-                answer = exchange(path, self._ring, self._arm, *calls, given.own_rate, given.wrench, quiet_s)
-            except Exception as error:
-                answer = f"{path.name!r}: {type(error).__name__}: {error}"
-            try:
-                done(answer)
-            except Exception as error:
-                self._requests.put(partial(self._note, f"{path.name!r}: {type(error).__name__}: {error}"))
-
-    def _ask_to_take_over(self, successor: Successor) -> str:
-        """In the thread of exchanges: have the loop take over, and wait for its answer."""
-        answers: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._requests.put(lambda: answers.put(self._take_over(successor)))
-        while self._running or not answers.empty():
-            with suppress(queue.Empty):
-                return answers.get(timeout=IDLE_S)
-        return "the loop has ended"
-
-    def _take_over(self, successor: Successor) -> str:
-        """Between two samples: exchange the monitor; returns why not yet."""
-        assert self._ring is not None
-        started, first = time.monotonic_ns(), successor.first_row
-        try:
-            if reason := successor.finish(self.monitor):
-                return reason
-        except Exception as error:  # the loop goes on with what it has
-            return f"{type(error).__name__}: {error}"
-        successor.replaced = self.monitor, self._bundle
-        self._changes.exchange(successor.monitor, successor.places)
-        self.monitor, self._bundle = successor.monitor, successor.bundle
-        self._jumps = successor.monitor.clock_jumps
-        self._turns.follow(successor.bundle)
-        self._load_kg = successor.monitor.load.mass
-        self._model, self._mark_ns = successor.model, None
-        old, self._facts["bundle"] = self._facts["bundle"], successor.bundle.name
-        self._episodes.bundle = successor.bundle.name
+    def take_over(self, bundle: _core.Bundle, monitor: _core.Monitor, places: PlaceFinder) -> None:
+        """Continue with this bundle's monitor, between two samples; in the loop's thread."""
+        self._changes.exchange(monitor, places)
+        self.monitor, self.bundle = monitor, bundle
+        self._jumps = monitor.clock_jumps
+        self._turns.follow(bundle)
+        self._facts["bundle"] = self._episodes.bundle = bundle.name
         self._sinks_follow()
-        took_us = (time.monotonic_ns() - started) * 1e-3
-        replayed = successor.row - first
-        facts = (self.samples, self._last_t_ns, replayed, successor.carried, successor.left, successor.alarms, took_us)
-        self.exchanged(Exchanged(successor.bundle.name, old, *facts))
-        return ""
 
     def _publish(
         self,
@@ -628,22 +508,18 @@ class Loop:
         q, dq = (None, None) if block is None else (block.q, block.dq)
         changes = self._changes.find(self.samples, t_ns, estimates, q, dq)
         news = self._episodes.find(self.samples, t_ns, estimates, changes, q)
-        if any(one.ended for one in news):
-            self._due_ns = None
+        self._acknowledgement.follow(news, times_ns, estimates["alarm"])
         verdict = Verdict(self.samples, t_ns, block, estimates, tuple(changes), self._episodes.standing, news, core_s)
         if self._reacts:
             for event in self._events.find(verdict):
                 self._reactions.put(event)
-        after_s = self._settings.acknowledge_after_s
-        if after_s is not None and self._due_ns is None and estimates["alarm"][-1] == COLLISION:
-            self._due_ns = int(times_ns[(estimates["alarm"] == COLLISION).argmax()]) + round(after_s * 1e9)
         self._each_sink(lambda sink: sink.verdict(verdict))
 
     def _report(self, rate_hz: float) -> None:
         """Send the report of the last second."""
         quantiles = (self._second.quantile_us(0.5), self._second.quantile_us(0.99))
         longest = self._second.max_ns * 1e-3 if self._second.count else math.nan
-        name = self._profile.name if self._profile else ""
+        name = self.profile.name if self.profile else ""
         counts = replace(self._source.counts)
         now_ns = time.monotonic_ns()
         times = (*quantiles, longest)
@@ -664,11 +540,8 @@ class Loop:
 
     def _sinks_follow(self) -> None:
         """Pass on the bundle that monitors from here on."""
-        if (bundle := self._bundle) is not None:
+        if (bundle := self.bundle) is not None:
             self._each_sink(lambda sink: sink.follow(bundle, self._real) if isinstance(sink, Follows) else None)
-
-    def _note(self, text: str) -> None:
-        self.note(text)
 
     def _forward_notes(self) -> None:
         for text in (*self._source.notes(), *self._turns.notes()):
@@ -677,9 +550,9 @@ class Loop:
     # Requests.
 
     def _stop(self, by: str) -> None:
-        if not self._stopped:
+        if not self.stopped:
             self.note(f"stopped by {by}")
-        self._stopped = True
+        self.stopped = True
 
     def _settle(self, alarm: int, answer: str) -> None:
         if alarm != self._standing:
@@ -687,19 +560,19 @@ class Loop:
         if self.monitor.last.touch_over:
             self._end_alarm(self.monitor.acknowledge, f"{answer}: acknowledged")
         else:  # the monitor would raise another alarm for the same touch
-            self._answered = alarm
+            self._acknowledgement.answered = alarm
             self.note(f"{answer}: acknowledged once the touch is over")
 
     def _switch(self, name: str, by: str) -> None:
         assert self._profiles is not None  # or use_profile() had refused it
-        old, new = self._profile, self._profiles.named(name)
-        self._profile = new
+        old, new = self.profile, self._profiles.named(name)
+        self.profile = new
         self.monitor.set_limit_factors(new.collision, new.contact)
         if new.load is not None:
             self._carry(new.load, None, f"profile {name}")
         if new.expect is not None:
             self._expect(new.expect, f"profile {name}")
-        self.switched(ProfileSwitch(self._last_t_ns, by, old.name if old else "", name))
+        self.switched(ProfileSwitch(self.last_t_ns, by, old.name if old else "", name))
 
     @property
     def _real(self) -> _core.Monitor:
@@ -729,13 +602,12 @@ class Loop:
     def _carry(self, load: _core.Load, ago_s: float | None, by: str) -> None:
         since_ns = None if ago_s is None else self._last_ns - round(ago_s * 1e9)
         self._changes.carry(load, self.samples, self._last_ns, by, since_ns)
-        if self._ring is not None:
-            self._load_kg = load.mass
-            self._ring.act(partial(put_load, load=load, since_ns=since_ns))
+        if self.supply is not None:
+            self.supply.load_set(load, since_ns)
 
     @property
     def _last_ns(self) -> int:
-        return self._last_t_ns or 0
+        return self.last_t_ns or 0
 
     def _weigh(self, what: str, reach_m: float, by: str) -> None:
         if what == "start":
@@ -750,8 +622,8 @@ class Loop:
 
     def _resume(self, by: str) -> None:
         self._end_alarm(self.monitor.resume, f"resumed by {by}")
-        if self._ring is not None:
-            self._ring.act(lambda monitor: monitor.resume())
+        if self.supply is not None:
+            self.supply.resumed()
 
     @property
     def _standing(self) -> int:
@@ -768,17 +640,12 @@ class Loop:
 
     def _acknowledge_when_due(self, now_ns: int) -> None:
         """now_ns: counted time of the next sample."""
-        if self._answered and self._answered != self._standing:  # it has ended by itself
-            self._answered, self._due_ns = 0, None
-        after_s = self._settings.acknowledge_after_s
-        if self._answered and self._due_ns is None and after_s is not None:  # a contact that lasts
-            self._due_ns = now_ns + round(after_s * 1e9)
-        is_due = self._due_ns is not None and now_ns >= self._due_ns
-        if is_due or (self._answered and self.monitor.last.touch_over):
+        one = self._acknowledgement
+        if one.is_due(now_ns, self._standing) or (one.answered and self.monitor.last.touch_over):
             self._end_alarm(self.monitor.acknowledge)
 
     def _end_alarm(self, end: Callable[[], None], note: str = "") -> None:
         if note:
             self.note(note)
-        self._due_ns, self._answered = None, 0
+        self._acknowledgement.end()
         self._changes.end_alarm(end, self.samples, self._last_ns)

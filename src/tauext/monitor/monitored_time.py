@@ -15,8 +15,6 @@ LATE_S = 0.1
 """Longest wait between two estimates, and greatest age of a sample at its estimate, that count as monitored, [s]."""
 LEAST_S = 10.0
 """Counted time before a share is stated, [s]."""
-OF_TIME = ("missing sample", "gap", "late sample", "wrong rate")
-"""Causes of bad health that a busy computer or a bad connection produces."""
 CAME_LATE = "samples came late or not at all"
 
 
@@ -122,7 +120,8 @@ class MonitoredTime:
         minute, why = self._minute, ""
         if minute.good_ns < minute.total_ns:
             names = cause_names(minute.causes)
-            other = [name for name in names if name not in OF_TIME]
+            # A busy computer or a bad connection produces the other ones.
+            other = [name for name in names if name not in ("missing sample", "gap", "late sample", "wrong rate")]
             why = ", ".join(other) if other else CAME_LATE
         return Monitored(minute.share, self._hour.share, self._all_good_ns * 1e-9, self._all_ns * 1e-9, why)
 
@@ -132,17 +131,17 @@ def percent(share: float) -> str:
     return f"{math.floor(1000 * share + 1e-9) / 10:.1f} %".replace("100.0 %", "100 %")
 
 
-QUIET_S = 600.0
-"""Least time between two lines about the share, [s], unless it has become worse."""
-AGAIN_S = 60.0
-"""Time without loss after which a line reports that all is monitored again, [s]."""
-
-
 class MonitoredNews:
     """Lines about the monitored share when its level changes: at most three in ten minutes, however it flickers."""
 
-    def __init__(self, remedy: str):
-        """remedy: what a person can do if samples come late or not at all."""
+    def __init__(self, remedy: str, quiet_s: float = 600.0, again_s: float = 60.0):
+        """
+        Args:
+            remedy: what a person can do if samples come late or not at all.
+            quiet_s: least time between two lines about the share, [s], unless it has become worse.
+            again_s: time without loss after which a line reports that all is monitored again, [s].
+        """
+        self._quiet_s, self._again_s = quiet_s, again_s
         self._remedy = remedy
         self._reported = self._worst = 0
         self._line_s, self._bad_s = -math.inf, -math.inf
@@ -150,7 +149,7 @@ class MonitoredNews:
     def line(self, now_s: float, monitored: Monitored) -> str:
         """A line to print; empty: none. now_s: monotonic time, [s]."""
         level = monitored.level
-        if now_s >= self._line_s + QUIET_S:
+        if now_s >= self._line_s + self._quiet_s:
             self._worst = 0
         if level:
             self._bad_s = now_s
@@ -159,7 +158,7 @@ class MonitoredNews:
             self._reported = self._worst = level
             self._line_s = now_s
             return blind_words(monitored, self._remedy)
-        if self._reported and now_s >= self._bad_s + AGAIN_S:
+        if self._reported and now_s >= self._bad_s + self._again_s:
             self._reported = 0
             return f"monitored {percent(monitored.minute)} of the last minute again"
         return ""

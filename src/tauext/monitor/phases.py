@@ -15,7 +15,6 @@ from tauext.config import Rule, within
 from tauext.errors import ConfigError
 from tauext.files.typed_table import TableName, read_table, table_of_line
 
-AXES = {"frame": WrenchAxes.frame, "base": WrenchAxes.base}
 Vector = tuple[float, float, float]
 LARGEST = 1e6
 """Largest force, moment and time; a larger one is a mistake of units."""
@@ -58,7 +57,7 @@ class ContactTable:
     @cached_property
     def contact(self) -> DeclaredContact:
         values = {one.name: getattr(self, one.name) for one in fields(ContactTable)}
-        return DeclaredContact(**values | {"axes": AXES[self.axes], "box": getattr(self, "box", None)})
+        return DeclaredContact(**values | {"axes": getattr(WrenchAxes, self.axes), "box": getattr(self, "box", None)})
 
 
 @dataclass(frozen=True)
@@ -169,7 +168,7 @@ class Phases:
         return [(contact, from_ns, seconds) for _, contact, from_ns, seconds in self.scheduled(start_ns)]
 
     def scheduled(self, start_ns: int) -> list[tuple[str, DeclaredContact, int, float]]:
-        """The same with the phases' names."""
+        """Contacts as timed() returns them, with the names of their phases."""
 
         def each() -> Iterator[tuple[str, DeclaredContact, int, float]]:
             for phase in self.by_name.values():

@@ -30,8 +30,6 @@ from tauext.monitor.source import Source, StopChecked, Stoppable
 
 
 HELPER = Path(__file__).with_name("reaction_helper.py")
-START_S = 20.0
-"""Longest time to import a module."""
 
 
 class ReactionFailed(Exception):
@@ -119,7 +117,7 @@ class ReactionProcess:
         )
         os.close(writing)
         self._answers, self._read = os.fdopen(reading, "rb", buffering=0), b""
-        answer = self._answer(time.monotonic() + START_S)
+        answer = self._answer(time.monotonic() + 20.0)  # [s], to import a module
         if not answer.get("ready"):
             self._drop()
             raise ReactionFailed(answer.get("error", "it did not start"))
@@ -169,8 +167,6 @@ def content_of(event: ReactionEvent) -> dict[str, Any]:
 # --- Execution of reactions: a thread each, a bounded queue, and counts of dropped events.
 
 
-LEAST_PROBABILITY = 0.5
-"""Least probability that one of a rule's links is touched."""
 END_S = 2.0
 """Time for waiting events at the end of the loop."""
 
@@ -255,7 +251,7 @@ class ReactionThread:
             return event.news if rule.touch is None else event.touch in rule.touch and not event.of_place
         if self._answered == event.number or (rule.touch is not None and event.touch not in rule.touch):
             return False
-        if rule.links is not None and sum(p for link, p in event.links if link in rule.links) < LEAST_PROBABILITY:
+        if rule.links is not None and sum(p for link, p in event.links if link in rule.links) < 0.5:
             return False
         if rule.newtons_over is not None and not (event.newtons is not None and event.newtons > rule.newtons_over):
             return False

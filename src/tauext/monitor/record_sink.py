@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -16,12 +17,12 @@ from tauext.bundle.estimates import NONE, OK, lacking
 from tauext.data.recording import Recording, TorqueTiming
 from tauext.data.recording_file import save_recording
 from tauext.data.servo import AMPERES, RAW_SIGNALS, servo_facts
-from tauext.errors import ConfigError
+from tauext.errors import ConfigError, TauextError
 from tauext.files.preflight import LEAST_ROOM, expect_folder
 from tauext.files.provenance import VERSION
 from tauext.monitor.background import BackgroundWorker
-from tauext.monitor.flight_content import Flight
-from tauext.monitor.flight_files import FlightSource, FlightWriter, write_flight
+from tauext.monitor.flight_content import Flight, FlightSource, event_kind
+from tauext.monitor.flight_files import FlightNews, write_flight
 from tauext.monitor.sink import Control, LoopReport, Verdict
 from tauext.monitor.source import SourceSettings
 
@@ -30,8 +31,6 @@ from tauext.monitor.source import SourceSettings
 
 MOST_WAITING = 4
 """Most segments in memory beside the one being written; further ones are lost and counted."""
-GAP_S = 1.0
-"""Shortest gap of stamps that begins a new segment."""
 
 
 @dataclass
@@ -54,6 +53,9 @@ class RecordSink:
     again.
     """
 
+    gap_ns = 1_000_000_000
+    """Shortest gap of stamps that begins a new segment, [ns]."""
+
     def __init__(
         self,
         folder: Path,
@@ -71,8 +73,6 @@ class RecordSink:
             except OSError as error:
                 raise ConfigError(f"{folder}: no folder for recordings ({error.strerror or error})") from error
             expect_folder(folder, LEAST_ROOM)
-        self.note: Callable[[str], None] = lambda text: None
-        """Called in the loop's thread, at most once a second, while samples are lost; set before open()."""
         self.is_losing = False
         """Whether the newest recording could not be written."""
         self._reported = self._lost_at_end = 0
@@ -93,7 +93,7 @@ class RecordSink:
         """Writes segments."""
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
-        self._joints = joints
+        self._joints, self._control = joints, control
         self._begin()
         self.worker.start()
 
@@ -131,7 +131,7 @@ class RecordSink:
             self._clock_restarted()
             k = 0
         self._late_ns = None
-        if k == self._rows or (k and t_ns - self._t_ns[k - 1] > GAP_S * 1e9):
+        if k == self._rows or (k and t_ns - self._t_ns[k - 1] > self.gap_ns):
             self._hand_over()
             k = 0
         self._t_ns[k], self._contact[k] = t_ns, contact
@@ -144,10 +144,15 @@ class RecordSink:
         if lost > self._reported:
             self._reported = lost
             remedy = "; recording goes on by itself once the disk has room and can be written" if self.is_losing else ""
-            self.note(f"RECORDING LOSES SAMPLES: {lost:,} so far ({self.count.error}){remedy}")
+            self._control.note(f"RECORDING LOSES SAMPLES: {lost:,} so far ({self.count.error}){remedy}")
         elif self._reported > self._lost_at_end and not self.is_losing:
             self._lost_at_end = self._reported
-            self.note(f"recording works again; {lost:,} samples were lost so far")
+            self._control.note(f"recording works again; {lost:,} samples were lost so far")
+
+    def loss(self) -> str:
+        """See Losing."""
+        lost, of = self.count.lost, self.count.lost + self.count.samples
+        return f"{lost} of {of} samples of the recording are lost: {self.count.error}" if lost else ""
 
     def close(self) -> None:
         """Write the remaining samples and wait for the disk."""
@@ -222,34 +227,53 @@ def file_name(text: str) -> str:
     return "".join(c if c.isalnum() or c in ".-" else "-" for c in text).strip("-.") or "live"
 
 
-# --- Flights of a live arm, written by a thread while the loop runs.
+# --- Flights, written by a thread while the loop runs.
 
 
-FAULT_EVERY_S = 60.0
-"""Least time between two flights of one cause, [s]: a busy computer makes hundreds of gaps an hour."""
+class FlightSink:
+    """Writes the flights of a recorder that the loop fills.
 
-
-class FlightSink(FlightWriter):
-    """Writes the flights of a recorder that the loop fills."""
+    A flight that cannot be written is reported in news(), and the thread continues. close() takes the event that still
+    waits for samples: nothing is lost.
+    """
 
     def __init__(
-        self, folder: Path, bundle: _core.Bundle | None, recorder: _core.FlightRecorder, source: str | FlightSource
+        self,
+        folder: Path,
+        bundle: _core.Bundle | None,
+        recorder: _core.FlightRecorder,
+        source: str | FlightSource,
+        poll_s: float = 0.05,
+        fault_every_s: float = 60.0,
+        most_waiting: int = 4,
     ):
         """
         Args:
             folder: exists.
             bundle: None: none monitors yet, and flights are lost.
             source: name of a live source, for file names; or a recording, whose replay waits for the disk.
+            poll_s: time between two looks for a finished flight of a live source, [s].
+            fault_every_s: least time between two flights of a live source's faults with the same causes, [s]: a busy
+                computer makes hundreds of gaps an hour. Others are counted in `repeated`.
+            most_waiting: most flights of a recording in memory.
         """
         self._of_recording = isinstance(source, FlightSource)
-        super().__init__(recorder, self._write_here, fault_every_s=0.0 if self._of_recording else FAULT_EVERY_S)
+        self.recorder, self.repeated = recorder, 0
         self._folder, self._bundle = folder, bundle
         self._name = file_name(source) if isinstance(source, str) else ""
         self._source = source if isinstance(source, FlightSource) else None
+        self._poll_s, self._due_s = poll_s, 0.0
+        self._fault_every_ns = 0 if self._of_recording else round(fault_every_s * 1e9)
+        self._faults: dict[str, int] = {}
+        """Stamp of the newest written fault of each cause, [ns]."""
+        self._news: deque[FlightNews] = deque()
+        self._broken: Exception | None = None
+        self.worker = BackgroundWorker("flight writer", most_waiting)
+        self.worker.patient = self._of_recording
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
         self._joints = joints
-        self.__enter__()
+        self.worker.start()
 
     def follow(self, bundle: _core.Bundle, monitor: _core.Monitor) -> None:
         """The next flights are this bundle's."""
@@ -257,27 +281,64 @@ class FlightSink(FlightWriter):
             self._bundle, self._source = bundle, None
 
     def verdict(self, verdict: Verdict) -> None:
-        if self._of_recording:
-            self.catch_up()
+        if self._of_recording:  # before the next event of a fast replay
+            if (flight := self.recorder.take()) is not None:
+                self.worker.put(partial(self._write, flight))
+            return
         if self._source is None and self._bundle is not None:
-            made, without = self._bundle.observer, lacking(self._bundle)
-            of_arm = (
-                self._joints,
-                int(verdict.t_ns[0]),
-                1e9 / made.sample_period_ns,
-                cast(TorqueTiming, made.timing.name),
-            )
-            self._source = FlightSource(self._bundle, self._name, *of_arm, without, command="tauext monitor")
+            self._source = self._live_source(self._bundle, int(verdict.t_ns[0]))
+        now_s = time.monotonic()
+        if now_s >= self._due_s and self.worker.put(self._take):
+            self._due_s = now_s + self._poll_s
 
     def every_second(self, report: LoopReport) -> None:
         pass
 
     def close(self) -> None:
         """Finish: everything is on disk or reported as lost."""
-        self.__exit__(None, None, None)
+        for act in (self._take, self.recorder.finish, self._take):
+            self.worker.put(act, must=True)
+        self.worker.end()
+        if self._broken is not None:
+            raise self._broken
 
-    def _write_here(self, flight: Flight) -> Path:
-        source = self._source
-        if source is None:
-            raise ConfigError("no bundle monitored yet, so this flight has no estimates")
-        return write_flight(flight, self._folder, source)
+    def news(self) -> list[FlightNews]:
+        """Flights written or lost since the last call."""
+        return [self._news.popleft() for _ in range(len(self._news))]
+
+    def _live_source(self, bundle: _core.Bundle, start_ns: int) -> FlightSource:
+        made = bundle.observer
+        of_arm = (self._joints, start_ns, 1e9 / made.sample_period_ns, cast(TorqueTiming, made.timing.name))
+        return FlightSource(bundle, self._name, *of_arm, lacking(bundle), command="tauext monitor")
+
+    def _take(self) -> None:
+        if (flight := self.recorder.take()) is not None:
+            self._write(flight)
+
+    def _write(self, flight: Flight) -> None:
+        if self._is_repeated(flight):
+            self.repeated += 1
+            return
+        what, event = event_kind(flight), flight["event"]
+        path, failed = None, None
+        try:
+            if self._source is None:
+                raise ConfigError("no bundle monitored yet, so this flight has no estimates")
+            path = write_flight(flight, self._folder, self._source)
+        except TauextError as error:
+            failed = str(error)
+        except Exception as error:  # a bug: reported now, and raised at the end; the thread goes on
+            self._broken = self._broken or error
+            failed = f"{type(error).__name__}: {error}"
+        number = 0 if what == "fault" else event.alarm_number
+        self._news.append(FlightNews(what, int(event.t_ns), path, failed, number))
+
+    def _is_repeated(self, flight: Flight) -> bool:
+        """Whether it is a fault whose causes all had a flight just before."""
+        if not self._fault_every_ns or event_kind(flight) != "fault":
+            return False
+        t_ns, causes = int(flight["event"].t_ns), list(flight["event"].causes)
+        if causes and all(abs(t_ns - self._faults.get(one, -(1 << 62))) < self._fault_every_ns for one in causes):
+            return True
+        self._faults |= dict.fromkeys(causes, t_ns)
+        return False

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, runtime_checkable
 
@@ -138,6 +138,22 @@ class Sink(Protocol):
         ...
 
 
+class Losing(Protocol):
+    """A sink that may lose samples."""
+
+    def loss(self) -> str:
+        """How many samples were lost, and why; empty: none. The command then ends with status 2."""
+        ...
+
+
+class AddedSink(Sink, Losing, Protocol):
+    """A sink that an option of `tauext run` and `tauext monitor` adds; see tauext.monitor.sink_kind.SinkKind."""
+
+    def summary(self) -> str:
+        """What was written, for the user; called after close()."""
+        ...
+
+
 @runtime_checkable
 class Follows(Protocol):
     """A sink that uses the bundle or its monitor, and must follow when others take their place."""
@@ -170,6 +186,9 @@ USUAL_REACH_M: float = LoadFound.USUAL_REACH_M
 
 class Control(Protocol):
     """Requests to the loop, from any thread: each is executed before the next sample, and logged."""
+
+    note: Callable[[str], None]
+    """Passes a message on to the user; sinks call it in the loop's thread."""
 
     def use_profile(self, name: str, by: str) -> None:
         """Change to this profile. by: origin of the request, for the log: `control socket`.

@@ -301,6 +301,12 @@ class StopChecked(Protocol):
 # --- Velocity and torque of a servo arm's live samples, by the bundle's settings.
 
 
+def servo_stage(arm: SourceSettings, recorded: Recorded | None) -> ServoStage | None:
+    """What makes velocity and torque of this arm's samples; None: they come as they are used."""
+    has_made = recorded is not None and recorded.is_made
+    return None if arm.servo is None or not arm.servo.on or has_made else ServoStage(arm.servo)
+
+
 class ServoStage:
     """Computes dq and tau of samples, as import did for the bundle's training recordings.
 

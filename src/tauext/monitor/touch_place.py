@@ -16,8 +16,6 @@ from tauext.monitor.changes import Change, Trigger, number_at, trigger_of
 # --- Force of an alarm's touch at a frame named by the user.
 
 
-SURE = 2.0
-"""Reported bound of a force's error, in standard errors along its worst direction: 19 of 20 errors are smaller."""
 INCONSISTENT = 0.01
 """Least probability at which a force at the frame explains the torques."""
 
@@ -45,8 +43,8 @@ class FrameForce:
 
     @property
     def off_n(self) -> float:
-        """Bound of the force's error, [N]."""
-        return SURE * float(np.sqrt(np.linalg.eigvalsh(np.reshape(self.covariance, (3, 3)))[-1]))
+        """Bound of the force's error, [N]: two standard errors along its worst direction, as 19 of 20 are smaller."""
+        return 2.0 * float(np.sqrt(np.linalg.eigvalsh(np.reshape(self.covariance, (3, 3)))[-1]))
 
     def words(self) -> str:
         """Describe a force by the nearest of the base's axes: `23 N at tool0 (up to 4 N wrong), 12° from -z`."""
@@ -110,15 +108,8 @@ class ForceAtFrame:
 # --- Link and place of an alarm's touch, reported while the alarm is active.
 
 
-AFTER_S = 0.1
-"""Delay after the alarm: early enough for a reaction, late enough for most touches to be near their peak."""
-AGAIN_S = 0.2
-"""Shortest time between two reports."""
 FOLLOWED_S = 1.0
 """Time after which a change behind a latched alarm may be another touch."""
-STRONGER = 2.0
-"""Growth of the sum of (tau_ext / sigma)^2 for another report: errors of links, proportional to 1/root, are then 0.7 of
-those before."""
 
 
 @dataclass(frozen=True)
@@ -262,6 +253,14 @@ class PlaceFinder:
     standard error.
     """
 
+    after_ns = 100_000_000
+    """Delay after the alarm, [ns]: early enough for a reaction, late enough for most touches to be near their peak."""
+    again_ns = 200_000_000
+    """Shortest time between two reports, [ns]."""
+    stronger = 2.0
+    """Growth of the sum of (tau_ext / sigma)^2 for another report: errors of links, which go with 1 / root, are then
+    0.7 times as large."""
+
     def __init__(self, bundle: Bundle, frame: str | None = None) -> None:
         """frame: frame at which the force is also estimated; ConfigError if the bundle lacks it."""
         self._at_frame = None if frame is None else ForceAtFrame(bundle, frame)
@@ -321,20 +320,20 @@ class PlaceFinder:
             if self._alarm == 0:
                 self._strength, self._reported, self._sample = 0.0, 0.0, None
             self._rose_ns, self._joint = t_ns, joint
-            self._due_ns = t_ns + round(AFTER_S * 1e9)
+            self._due_ns = t_ns + self.after_ns
         self._alarm = alarm
         return fell, level
 
     def _judge(self, row: int, t_ns: int, fell: bool, level: int) -> PlaceChange | None:
-        """A place, if one is due and the strongest sample is STRONGER times as strong as the last reported one."""
+        """A place, if one is due and the strongest sample is `stronger` times as strong as the last reported one."""
         assert self._due_ns is not None
-        due = fell or not 0 < self._due_ns - t_ns <= AGAIN_S * 1e9  # past, or the clock was set back
-        if not due or self._sample is None or self._strength < STRONGER * self._reported:
+        due = fell or not 0 < self._due_ns - t_ns <= self.again_ns  # past, or the clock was set back
+        if not due or self._sample is None or self._strength < self.stronger * self._reported:
             if fell or not 0 <= t_ns - self._rose_ns <= FOLLOWED_S * 1e9:
                 self._due_ns = None
             return None
         self._reported = self._strength
-        self._due_ns = None if fell else t_ns + round(AGAIN_S * 1e9)
+        self._due_ns = None if fell else t_ns + self.again_ns
         q, tau_ext, sigma_nm, contact_sigma_nm, dq = self._sample
         found = self._model.find(q, tau_ext, sigma_nm, contact_sigma_nm, dq=dq)
         since_s = (t_ns - self._rose_ns) * 1e-9
@@ -344,8 +343,6 @@ class PlaceFinder:
 
 STATED = 0.9
 """Probability from which a link, or a run of links, is stated."""
-LONGEST_RUN = 3
-"""Most links of a run."""
 
 
 def newtons(place: TouchPlace) -> float:
@@ -353,19 +350,19 @@ def newtons(place: TouchPlace) -> float:
     return float(np.linalg.norm(place.force))
 
 
-def run_of(links: Sequence[tuple[int, float]]) -> tuple[int, int, float]:
+def run_of(links: Sequence[tuple[int, float]], longest: int = 3) -> tuple[int, int, float]:
     """Number of the first and last link of the shortest run of neighbours whose probability is STATED, and its
     probability.
 
     Args:
         links: number of the joint that carries the link, and its probability; the most probable first, which the run
-            contains. It is the run if no other of at most LONGEST_RUN links is probable enough.
+            contains. It is the run if no other of at most `longest` links is probable enough.
     """
     probability = dict(links)
     best = links[0][0]
     runs = [
         (count, -sum(probability.get(link, 0.0) for link in range(first, first + count)), first)
-        for count in range(1, LONGEST_RUN + 1)
+        for count in range(1, longest + 1)
         for first in range(best - count + 1, best + 1)
         if first in probability and first + count - 1 in probability
     ]

@@ -12,14 +12,6 @@ from tauext import _core
 from tauext.data.recording import NEAR_TURN, TURN, runs_of
 from tauext.monitor.source import Block, SourceSettings
 
-FASTEST_RAD_S = 20.0
-"""No joint of an arm moves faster; what it may move between two samples is the tolerance of a jump."""
-SILENT_S = 1.0
-"""Longer without a sample, an arm may have been moved by other means."""
-CLEARLY_RAD = 0.5
-"""Distance by which another turn must be nearer to the trained positions."""
-LEAST_GAP = 6
-"""Least number of successive cells without a trained position, from which the trained ones have two ends."""
 MOST_TURNS = 100
 """A larger jump is a damaged number."""
 
@@ -33,6 +25,13 @@ class Turns:
     that has jumped stays in the nearest turn over a gap, too. The first position, and a first one after a silence, is
     put into the turn of the bundle's training. Other jumps stay: the monitor reports them.
     """
+
+    fastest_rad_s = 20.0
+    """No joint of an arm moves faster; what it may move between two samples is the tolerance of a jump."""
+    silent_s = 1.0
+    """Longer without a sample, an arm may have been moved by other means."""
+    clearly_rad = 0.5
+    """Distance by which another turn must be nearer to the trained positions."""
 
     def __init__(self, arm: SourceSettings, bundle: _core.Bundle | None = None):
         n = len(arm.joints)
@@ -120,9 +119,9 @@ class Turns:
             self._land(joint, value)
             return
         whole = round((value - before) / TURN)
-        was_away = since_s > SILENT_S and not wraps and not math.isnan(self._low[joint])
+        was_away = since_s > self.silent_s and not wraps and not math.isnan(self._low[joint])
         most = NEAR_TURN[0] if was_away else math.pi if wraps else NEAR_TURN[1]
-        near = min(max(NEAR_TURN[0], FASTEST_RAD_S * max(since_s, self._period_s)), most)
+        near = min(max(NEAR_TURN[0], self.fastest_rad_s * max(since_s, self._period_s)), most)
         if 0 < abs(whole) <= MOST_TURNS and abs(value - before - TURN * whole) <= near:
             self._turn(joint, whole)
             self._wraps[joint] = True
@@ -142,7 +141,7 @@ class Turns:
         def away(q: float) -> float:
             return max(low - q, q - high, 0.0)
 
-        if 0 < abs(by) <= MOST_TURNS and away(here - TURN * by) + CLEARLY_RAD < away(here):
+        if 0 < abs(by) <= MOST_TURNS and away(here - TURN * by) + self.clearly_rad < away(here):
             self._turn(joint, by)
             self._notes.append(
                 f"position of {self._joints[joint]} begins at {value:.3g} rad, used as {here - TURN * by:.3g} rad: "
@@ -176,18 +175,19 @@ def trained_positions(bundle: _core.Bundle) -> tuple[np.ndarray, np.ndarray]:
     return low, high
 
 
-def _ends(seen: int, there: float) -> tuple[float, float] | None:
+def _ends(seen: int, there: float, least_gap: int = 6) -> tuple[float, float] | None:
     """Ends of the trained positions around one of them, [rad]; None: they cover the whole turn.
 
     Args:
         seen: bit of each cell of the turn from -pi to pi.
         there: a trained position.
+        least_gap: least number of successive cells without a trained position, from which the others have two ends.
     """
     cells = _core.CoverageSettings.CELLS
     width = TURN / cells
     at = math.floor((there + math.pi) / width)
     gaps = runs_of(np.array([k > 0 and not seen >> (at + k) % cells & 1 for k in range(cells)]))
     begin, end = max(gaps.tolist(), key=lambda gap: gap[1] - gap[0], default=(0, 0))
-    if end - begin < LEAST_GAP:
+    if end - begin < least_gap:
         return None
     return (at + end - cells) * width - math.pi, (at + begin) * width - math.pi

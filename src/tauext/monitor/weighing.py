@@ -246,16 +246,6 @@ def each_window(
 # --- Messages on the load and on what the motion does not determine.
 
 
-UNKNOWN_KG = 100.0
-"""Largest standard error of a reported mass; without motion it is 1000 kg."""
-ALONG = 0.9
-"""Least cosine at which a direction is named after the nearest axis of the frame."""
-OF_CONSTANTS = 0.5
-"""Least error by the torque constants, over that of the motion, that is reported apart: below, it adds a tenth."""
-CORRECTED_TO = 0.03
-"""Largest relative error of the torque constants at which no known weight is advised; it must be found to 3 %."""
-
-
 def load_sentences(found: LoadFound, where: str, unit: str) -> list[str]:
     """Sentences on mass, centre of mass, and what the motion does not determine.
 
@@ -265,7 +255,7 @@ def load_sentences(found: LoadFound, where: str, unit: str) -> list[str]:
     """
     kg = "kg" if unit == "N m" else f"kg times {unit} a N m"
     mass = mass_words(found.mass_kg, found.mass_error_kg, kg)
-    if found.mass_error_kg > UNKNOWN_KG:
+    if found.mass_error_kg > 100:  # without motion it is 1000 kg
         return [
             f"no weight is visible there: gravity never pulls a load at {where} against a joint that weighs it; is the "
             "load fixed to a link farther out (--frame)?"
@@ -302,10 +292,11 @@ def mass_words(mass_kg: float, error_kg: float, kg: str = "kg") -> str:
 
 def weighed_words(found: LoadFound, kg: str) -> str:
     """A mass with both of its errors: that of the torque constants changes all weights alike."""
-    if found.constants_error_kg < OF_CONSTANTS * found.mass_error_kg:
+    if found.constants_error_kg < found.mass_error_kg / 2:  # it adds at most a tenth
         return mass_words(found.mass_kg, mass_error(found), kg)
+    # No known weight is advised where the constants are as sure as such a weight finds them: to 3 %.
     share = found.constants_error_kg / max(abs(found.mass_kg), 1e-9)
-    advice = " (weigh a known load: tauext load --known-kg)" if share > CORRECTED_TO else ""
+    advice = " (weigh a known load: tauext load --known-kg)" if share > 0.03 else ""
     return (
         f"{found.mass_kg:.2f} {kg} ± {100 * share:.2g} % common to all weights of this bundle{advice}, "
         f"± {found.mass_error_kg:.2f} {kg} from motion"
@@ -363,13 +354,13 @@ def contact_sentence(found: LoadFound, unit: str) -> str:
 def axis_name(direction: np.ndarray) -> str:
     """Name a direction: `the z axis of the frame`, or in numbers."""
     k = int(np.abs(direction).argmax())
-    if abs(direction[k]) >= ALONG:
+    if abs(direction[k]) >= 0.9:
         return f"the {'xyz'[k]} axis of the frame"
     turned = direction * np.sign(direction[k])
     return f"the direction ({', '.join(f'{c:.2f}' for c in turned)}) of the frame"
 
 
-def load_facts(found: LoadFound) -> dict:
+def found_facts(found: LoadFound) -> dict:
     """The result as plain JSON."""
     return {
         "verdict": found.verdict,

@@ -17,8 +17,6 @@ from tauext.robot.xml_file import XmlFile
 
 LEAST = 2e-15
 """Mass [kg] and inertia [kg m^2] up to this count as zero; MuJoCo's least mass of a moving body is 1e-15."""
-LEAST_FULL = 1e-12
-"""Principal inertia from which MuJoCo reads an inertia of six values, [kg m^2]; its own bound is a little lower."""
 
 
 @contextmanager
@@ -48,7 +46,7 @@ def possible_inertias(spec: mujoco.MjSpec) -> Iterator[list[tuple[mujoco.MjsBody
         inertia, axes = principal_axes(body.fullinertia) if full else (np.array(body.inertia), None)
         low, middle, high = np.sort(inertia)
         possible = low + middle >= high or (spec.compiler.balanceinertia and low >= 0)
-        if body.mass >= 0 and low >= (LEAST_FULL if full else 0) and possible:
+        if body.mass >= 0 and low >= (1e-12 if full else 0) and possible:  # MuJoCo reads six values from there on
             continue
         if axes is not None:
             turned = np.empty(4)
@@ -108,12 +106,7 @@ def has_inertial(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> bool:
 
 
 def read_mjcf(file: XmlFile) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """Read an MJCF. If its shapes or looks cannot be read, those that no inertia depends on are left out.
-
-    Raises:
-        RobotError: a mesh from which an inertia would follow is missing.
-        ValueError, mujoco.FatalError: MuJoCo refuses the file.
-    """
+    """Read an MJCF. If its shapes or looks cannot be read, those that no inertia depends on are left out."""
     for element in file.root.iter():
         named = element.get("file")
         if named and (beside := file.path.parent / named).exists() and not beside.is_file():
@@ -134,7 +127,7 @@ def _mjcf_spec(file: XmlFile) -> mujoco.MjSpec:
     if file.path.suffix == ".xml":
         return mujoco.MjSpec.from_file(str(file.path))
     beside = {name: file.path.parent / name for one in file.root.iter("include") if (name := one.get("file"))}
-    included = {name: place.read_bytes() for name, place in beside.items() if place.is_file()}
+    included = {name: path.read_bytes() for name, path in beside.items() if path.is_file()}
     spec = mujoco.MjSpec.from_string(file.path.read_text(encoding="utf-8-sig"), include=included)  # by any other name
     spec.modelfiledir = str(file.path.parent)
     return spec

@@ -33,10 +33,6 @@ def wrench_frames(path: str | os.PathLike[str], tree: Tree) -> list[WrenchFrame]
 # --- The load frame: the last frame fixed behind the last joint in use.
 
 
-USUAL_FRAMES = ("tool0", "tcp", "end_effector", "ee_link", "flange")
-"""Where several links are fixed to one, the search continues at a name that contains the first of these, or ends."""
-
-
 def load_frame(path: str | os.PathLike[str], tree: Tree, name: str | None = None) -> PlacedBody:
     """The frame in which loads are specified.
 
@@ -67,15 +63,16 @@ def _last_fixed(model: mujoco.MjModel, joint_ids: Sequence[int], tree: Tree, pat
         behind = ", ".join(tree.links[k].joint_name for k in ends)
         raise RobotError(f"{path}: the arm has {len(ends)} ends, behind {behind}: name the link that carries a load")
     body = int(model.jnt_bodyid[joint_ids[ends[0]]])
+    usual_frames = ("tool0", "tcp", "end_effector", "ee_link", "flange")
     while True:
         fixed = [
             child
             for child in range(body + 1, model.nbody)
             if model.body_parentid[child] == body and not model.body_jntnum[child] and model.body(child).name != PAYLOAD
         ]
-        if len(fixed) > 1:
+        if len(fixed) > 1:  # the search continues at the most usual name, or ends
             names = [model.body(child).name.lower() for child in fixed]
-            fixed = [child for usual in USUAL_FRAMES for child, name in zip(fixed, names, strict=True) if usual in name]
+            fixed = [child for usual in usual_frames for child, name in zip(fixed, names, strict=True) if usual in name]
         if not fixed:
             return body
         body = fixed[0]

@@ -7,7 +7,7 @@ import os
 import posixpath
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from tauext.errors import ConfigError
@@ -15,39 +15,26 @@ from tauext.robot.xml_file import read_xml
 
 READ_FORMATS = (".stl", ".obj", ".msh")
 """Formats that MuJoCo reads."""
-PACKAGE = "package://"
-DEPTH = 3
-"""Levels of folders below a source of packages that are searched for one; ROS workspaces have packages in two."""
-MOST_FOLDERS = 2000
-"""Most folders listed for one package below one source."""
-MOST_PACKAGES = 20
-"""Packages of one robot file that are searched for. With MOST_MISSING it bounds the time for an absurd file."""
-MOST_MISSING = 500
-"""Missing files of one robot file after which no further one is searched for."""
-
 
 # --- Folders that the user gives.
 
 
 @dataclass(frozen=True)
 class MeshFolders:
-    """Folders given with --meshes."""
+    """Folders given with --meshes: a package, its meshes, or what holds packages."""
 
-    anywhere: tuple[Path, ...] = ()
-    """A package, its meshes, or what holds packages."""
-    of_package: dict[str, tuple[Path, ...]] = field(default_factory=dict)
-    """Folders of packages, by name."""
+    named: tuple[tuple[str, Path], ...] = ()
+    """Package and folder; "": of any package."""
 
     def __bool__(self) -> bool:
-        return bool(self.anywhere or self.of_package)
+        return bool(self.named)
 
     def __str__(self) -> str:
-        named = [f"{package}={folder}" for package, folders in self.of_package.items() for folder in folders]
-        return " ".join([*map(str, self.anywhere), *named])
+        return " ".join(f"{package}={folder}" if package else str(folder) for package, folder in self.named)
 
-    def of(self, package: str) -> tuple[Path, ...]:
+    def of(self, package: str) -> list[Path]:
         """The folders to search for files of this package; those of its name first."""
-        return (*self.of_package.get(package, ()), *self.anywhere)
+        return [folder for name in dict.fromkeys((package, "")) for other, folder in self.named if other == name]
 
 
 def mesh_folders(words: Sequence[str]) -> MeshFolders:
@@ -56,20 +43,15 @@ def mesh_folders(words: Sequence[str]) -> MeshFolders:
     Raises:
         ConfigError: there is no such folder.
     """
-    anywhere: list[Path] = []
-    of_package: dict[str, tuple[Path, ...]] = {}
+    named = []
     for word in words:
         package, equals, folder = word.partition("=")
         if not equals or Path(word).is_dir():
             package, folder = "", word
         if not folder or not Path(folder).expanduser().is_dir():
             raise ConfigError(f"--meshes {word}: there is no folder {folder!r}; give FOLDER or PACKAGE=FOLDER")
-        path = Path(folder).expanduser().resolve()
-        if package:
-            of_package[package] = (*of_package.get(package, ()), path)
-        else:
-            anywhere.append(path)
-    return MeshFolders(tuple(anywhere), of_package)
+        named.append((package, Path(folder).expanduser().resolve()))
+    return MeshFolders(tuple(sorted(named, key=lambda one: one[0])))
 
 
 def expect_meshes(robot: Path, given: MeshFolders) -> None:
@@ -121,15 +103,20 @@ class MissingMeshError(ValueError):
 
 
 class MeshFinder:
-    """Finds the meshes of one robot file; what is in given folders comes first, then what is near the robot file."""
+    """Finds the meshes of one robot file: in given folders, then near the robot file, then in installed descriptions.
 
-    def __init__(self, robot: Path, given: MeshFolders = MeshFolders()) -> None:
+    Args:
+        most_packages, most_missing: further packages, and files after so many missing ones, are not searched for, which
+            bounds the time for an absurd file.
+    """
+
+    def __init__(
+        self, robot: Path, given: MeshFolders = MeshFolders(), most_packages: int = 20, most_missing: int = 500
+    ) -> None:
         own = robot.parent.resolve()
         self._near = list(dict.fromkeys((robot.parent, own, *own.parents)))
-        self._given = given
-        self._packages: dict[str, tuple[list[Path], list[Path]]] = {}
-        self._in_given: dict[str, list[Path]] = {}
-        self._missing = 0
+        self._given, self._most, self._left = given, most_packages, most_missing
+        self._packages: dict[str, tuple[list[Path], list[Path], list[Path]]] = {}
         self.uses_given = False
         """Whether a mesh was found in a given folder."""
         self.elsewhere: dict[str, Path] = {}
@@ -147,7 +134,7 @@ class MeshFinder:
             ValueError: there is one, of a format that cannot be read.
         """
         package, inside = _split(name)
-        if self._missing < MOST_MISSING and inside:
+        if self._left > 0 and inside:
             for readable in _readable(inside):
                 if found := self._found(package, readable):
                     return found
@@ -157,7 +144,7 @@ class MeshFinder:
                     f"{name}: meshes are read from {', '.join(READ_FORMATS)}; put {stem}.stl or {stem}.obj beside it "
                     "or in ../collision"
                 )
-        self._missing += 1
+        self._left -= 1
         raise MissingMeshError(f"there is no mesh file {name}", package)
 
     def _found(self, package: str, inside: str) -> Path | None:
@@ -165,11 +152,8 @@ class MeshFinder:
             if file.is_file():
                 self.uses_given = True
                 return file
-        if not package:
-            file = self._near[0] / inside
-            return file if file.is_file() else None
-        near, installed = self._folders_of(package)
-        for folder in (*near, *self._near):
+        _, near, installed = self._folders_of(package)
+        for folder in (*near, *self._near) if package else self._near[:1]:
             if (file := folder / inside).is_file():
                 return file
         for folder in installed:
@@ -180,34 +164,28 @@ class MeshFinder:
 
     def in_given(self, package: str, inside: str) -> Iterator[Path]:
         """Paths in the given folders at which a file may be: in the package, or by the end of its path."""
-        if not self._given:
-            return
-        if package not in self._in_given and len(self._in_given) < MOST_PACKAGES:
-            found = [one for folder in self._given.of(package) for one in packages_below(folder, package) if package]
-            self._in_given[package] = found
         parts = [part for part in Path(inside).parts if part not in ("..", os.sep)]
         for folder in self._given.of(package):
             if package:
                 yield folder / package / inside
             yield from (folder.joinpath(*parts[k:]) for k in range(len(parts)))
-        yield from (folder / inside for folder in self._in_given.get(package, ()))
+        yield from (folder / inside for folder in self._folders_of(package)[0])
 
-    def _folders_of(self, package: str) -> tuple[list[Path], list[Path]]:
-        """Folders of a package near the robot file, and of installed descriptions."""
-        if package not in self._packages:
-            if len(self._packages) >= MOST_PACKAGES:
-                return [], []
+    def _folders_of(self, package: str) -> tuple[list[Path], list[Path], list[Path]]:
+        """Folders of a package in given folders, near the robot file, and of installed descriptions."""
+        if package not in self._packages and package and len(self._packages) < self._most:
+            given = [one for folder in self._given.of(package) for one in packages_below(folder, package)]
             near = [one for folder in self._near for one in near_packages(folder, package)]
-            self._packages[package] = (near, list(dict.fromkeys(installed_packages(package))))
-        return self._packages[package]
+            self._packages[package] = given, near, list(dict.fromkeys(installed_packages(package)))
+        return self._packages.get(package, ([], [], []))
 
 
 def _split(name: str) -> tuple[str, str]:
     """Package of a mesh's name, and its path in the package; without a package, the path. A path out of the package
     becomes empty."""
-    if not name.startswith(PACKAGE):
+    if not name.startswith("package://"):
         return "", name.removeprefix("file://")
-    package, _, inside = name.removeprefix(PACKAGE).partition("/")
+    package, _, inside = name.removeprefix("package://").partition("/")
     inside = posixpath.normpath(inside)
     if package in ("", ".", "..") or inside.startswith((".", "/")):
         return package, ""
@@ -263,13 +241,18 @@ def example_robot_data() -> Iterator[Path]:
         yield from _folders(prefix / "share" / "example-robot-data")
 
 
-def packages_below(folder: Path, package: str, depth: int = DEPTH) -> Iterator[Path]:
-    """Folders of this name, at most so many levels below; not in hidden folders."""
+def packages_below(folder: Path, package: str, depth: int = 3, most_listed: int = 2000) -> Iterator[Path]:
+    """Folders of this name, not in hidden folders.
+
+    Args:
+        depth: levels that are searched; ROS workspaces have packages in two.
+        most_listed: folders after which the search ends.
+    """
     waiting, listed = [folder], 0
     for level in range(depth):
         here, waiting = waiting, []
         for one in here:
-            if listed >= MOST_FOLDERS:
+            if listed >= most_listed:
                 return
             listed += 1
             yield from _folders(one / package)

@@ -12,8 +12,6 @@ from tauext.errors import ConfigError, RobotError
 from tauext.robot.read import load_tree
 from tauext.robot.write import is_placeholder
 
-# --- Deliberately wrong models: the cases of the paper.
-
 
 def perturbed(tree: Tree, mass_factor: float = 1.0, com_factor: float = 1.0) -> Tree:
     """The tree with every mass times `mass_factor` and every centre of mass times `com_factor`.
@@ -44,9 +42,6 @@ def empty(tree: Tree) -> Tree:
         link.inertia = [0.0] * 6
         links.append(link)
     return Tree(links, tree.gravity)
-
-
-# --- The estimated model: the robot file's, a deliberately wrong one as in the paper, or none.
 
 
 def chosen_case(name: CaseName | None, robot: Path) -> tuple[CaseName, str]:

@@ -37,29 +37,25 @@ class JointChoice:
 def choose_joints(
     model: mujoco.MjModel, joints: Sequence[str] | None, locked: Mapping[str, float], where: str
 ) -> JointChoice:
-    """Resolve names to joints; None takes every joint that is not locked.
-
-    Raises:
-        RobotError: see `tauext.robot.read.load_tree`; the message names `where`, the joint, and the joints that exist.
-    """
+    """Resolve names to joints; None takes every joint that is not locked."""
     index = {model.joint(j).name: j for j in range(model.njnt) if model.joint(j).name}
     for name in [*(joints or ()), *locked]:
         if name not in index:
             raise RobotError(f"{where}: no joint {name!r}; its joints are {', '.join(index) or 'none'}")
-    if joints is None:
-        chosen = [j for j in range(model.njnt) if model.joint(j).name not in locked]
-    else:
-        for name in joints:
-            if list(joints).count(name) > 1:
-                raise RobotError(f"{where}: joint {name!r} is named twice; name every joint once")
-            if name in locked:
-                raise RobotError(f"{where}: joint {name!r} is both in use and locked at {locked[name]}; choose one")
-        chosen = [index[name] for name in joints]
+    for name in joints or ():
+        if list(joints or ()).count(name) > 1:
+            raise RobotError(f"{where}: joint {name!r} is named twice; name every joint once")
+        if name in locked:
+            raise RobotError(f"{where}: joint {name!r} is both in use and locked at {locked[name]}; choose one")
+    unlocked = [j for j in range(model.njnt) if model.joint(j).name not in locked]
+    chosen = unlocked if joints is None else [index[name] for name in joints]
     _check_chosen(model, chosen, where)
-
     qpos = np.array(model.qpos0)
     for name, position in locked.items():
-        _check_locked(model, index[name], position, where)
+        if int(model.jnt_type[index[name]]) in _SEVERAL_AXES:
+            raise RobotError(f"{where}: joint {name!r} has several axes, and no single position to be locked at")
+        if not math.isfinite(position):
+            raise RobotError(f"{where}: joint {name!r}: locked position {position} must be finite, [rad or m]")
         qpos[model.jnt_qposadr[index[name]]] = position
     qpos[model.jnt_qposadr[chosen]] = 0.0
     return JointChoice(chosen, qpos)
@@ -83,25 +79,17 @@ def _check_chosen(model: mujoco.MjModel, chosen: list[int], where: str) -> None:
         raise RobotError(f"{where}: {len(chosen)} joints in use, at most {MAX_JOINTS} can be: lock the others")
 
 
-def _check_locked(model: mujoco.MjModel, joint: int, position: float, where: str) -> None:
-    name = model.joint(joint).name
-    if int(model.jnt_type[joint]) in _SEVERAL_AXES:
-        raise RobotError(f"{where}: joint {name!r} has several axes, and no single position to be locked at")
-    if not math.isfinite(position):
-        raise RobotError(f"{where}: joint {name!r}: locked position {position} must be finite, [rad or m]")
-
-
 # --- Turn a compiled MuJoCo model into a tree: one link per joint in use, with everything rigidly attached.
 
 
 def carriers(model: mujoco.MjModel, joint_ids: Sequence[int]) -> list[int]:
     """For each body, the joint in use that carries it, as an index into `joint_ids`; -1: it never moves."""
-    place = {joint: i for i, joint in enumerate(joint_ids)}
+    order = {joint: i for i, joint in enumerate(joint_ids)}
     carrier = [-1] * model.nbody
     for body in range(1, model.nbody):
         carrier[body] = carrier[model.body_parentid[body]]
         for joint in _joints_of(model, body):
-            carrier[body] = place.get(joint, carrier[body])
+            carrier[body] = order.get(joint, carrier[body])
     return carrier
 
 
@@ -112,9 +100,6 @@ def make_tree(
 
     All quantities are read in the base frame at that pose. MuJoCo has then resolved joint offsets, reference positions
     and several joints on one body.
-
-    Raises:
-        RobotError: a moving link has no mass, or one of its numbers is invalid.
     """
     data = posed(model, qpos)
     carrier = carriers(model, joint_ids)
@@ -122,11 +107,9 @@ def make_tree(
     frames, origins = zip(*(frame_of_joint(data, joint) for joint in joint_ids), strict=True)
     links = []
     for i, joint in enumerate(joint_ids):
-        parent = parents[i]
+        link, parent = Link(), parents[i]
         base_frame, base_origin = (frames[parent], origins[parent]) if parent >= 0 else (np.eye(3), np.zeros(3))
-        link = Link()
-        link.joint_name = model.joint(joint).name
-        link.parent = parent
+        link.joint_name, link.parent = model.joint(joint).name, parent
         hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
         link.type = JointType.revolute if hinge else JointType.prismatic
         link.rotation = (base_frame.T @ frames[i]).ravel().tolist()
@@ -193,8 +176,8 @@ def placed_bodies(path: Path, tree: Tree) -> tuple[mujoco.MjModel, list[int], li
         if link >= 0:
             axes, origin = frame_of_joint(data, choice.joint_ids[link])
             turned = axes.T @ np.array(data.xmat[body]).reshape(3, 3)
-            place = axes.T @ (np.array(data.xpos[body]) - origin)
-            found.append(PlacedBody(body, model.body(body).name, link, turned, place))
+            position = axes.T @ (np.array(data.xpos[body]) - origin)
+            found.append(PlacedBody(body, model.body(body).name, link, turned, position))
     return model, choice.joint_ids, found
 
 
@@ -255,19 +238,19 @@ def _frame_along(axis: np.ndarray) -> np.ndarray:
 
 def _rotor_inertia(model: mujoco.MjModel, joint: int) -> float:
     """The joint's armature, plus that of each actuator on it times its gear squared."""
-    at_joint = [int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)]
-    drives = np.isin(model.actuator_trntype, at_joint) & (model.actuator_trnid[:, 0] == joint)
+    drives = drives_of(model, joint)
     motors = model.actuator_armature[drives] * model.actuator_gear[drives, 0] ** 2
     return float(model.dof_armature[model.jnt_dofadr[joint]] + motors.sum())
 
 
+def drives_of(model: mujoco.MjModel, joint: int) -> np.ndarray:
+    """Which actuators act on this joint, (actuators,) bool."""
+    at_joint = [int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)]
+    return np.asarray(np.isin(model.actuator_trntype, at_joint) & (model.actuator_trnid[:, 0] == joint))
+
+
 def _set_inertia(
-    link: Link,
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    bodies: list[int],
-    frame: np.ndarray,
-    origin: np.ndarray,
+    link: Link, model: mujoco.MjModel, data: mujoco.MjData, bodies: list[int], frame: np.ndarray, origin: np.ndarray
 ) -> None:
     """Mass, centre of mass and inertia of the bodies together, in the link's frame."""
     masses = np.where(model.body_mass[bodies] > LEAST, model.body_mass[bodies], 0.0)
@@ -290,11 +273,7 @@ def _set_inertia(
 
 
 def check_constraints(model: mujoco.MjModel, joint_ids: list[int], where: str) -> None:
-    """Refuse mimic joints in use, closed loops between moving links, and rotor inertia that acts through a tendon.
-
-    Raises:
-        RobotError: names the joints, bodies or tendon, and what to do.
-    """
+    """Refuse mimic joints in use, closed loops between moving links, and rotor inertia that acts through a tendon."""
     carrier = carriers(model, joint_ids)
     for k in range(model.neq):
         if not model.eq_active0[k]:
@@ -348,10 +327,6 @@ def _check_tendon(model: mujoco.MjModel, tendon: int, joint_ids: list[int], carr
 
 
 # --- Load a robot file: read it, choose the joints, make the tree.
-
-
-MOST_JOINTS = 1000
-"""Largest number of joints in a file. A humanoid with hands has a hundred; ten thousand take MuJoCo gigabytes."""
 
 
 def load_tree(
@@ -423,13 +398,13 @@ def compiled(path: Path) -> mujoco.MjModel:
 
 
 def read_robot(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """As compiled(), with the specification that was compiled."""
+    """Return the specification beside what compiled() returns."""
     file = read_xml(path)
     joints = sum(element.tag in ("joint", "freejoint") for element in file.root.iter())
-    if joints > MOST_JOINTS:
+    if joints > 1000:  # a humanoid with hands has a hundred; ten thousand take MuJoCo gigabytes
         raise RobotError(
             f"{path}: has {joints} joints, whose mass matrix alone needs {in_words(8.0 * joints**2)} of memory; at "
-            f"most {MOST_JOINTS} are read, of which 32 may be in use"
+            "most 1000 are read, of which 32 may be in use"
         )
     with no_mujoco_warnings(), our_words(file):
         if file.root.tag == "robot":

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from tauext.errors import RobotError
-from tauext.robot.read import compiled
+from tauext.robot.read import compiled, drives_of
 from tauext.robot.xml_file import XmlFile, read_xml
 
 
@@ -51,17 +51,12 @@ def _effort(file: XmlFile, name: str) -> float:
             effort = np.nan
         if not effort >= 0:
             raise file.error(limit, f"joint {name!r}: effort = {text!r} must be a number >= 0")
-        return effort if effort > 0 else np.inf
+        return effort or np.inf
     return np.inf
 
 
 def _drive_limit(model: mujoco.MjModel, joint: int) -> float:
-    limits = [np.inf]
-    if model.jnt_actfrclimited[joint]:
-        limits.append(float(np.abs(model.jnt_actfrcrange[joint]).max()))
-    at_joint = [int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)]
-    for drive in range(model.nu):
-        on_it = model.actuator_trntype[drive] in at_joint and model.actuator_trnid[drive, 0] == joint
-        if on_it and model.actuator_forcelimited[drive]:
-            limits.append(float(np.abs(model.actuator_forcerange[drive] * model.actuator_gear[drive, 0]).max()))
-    return min(limits) or np.inf
+    limits = [float(np.abs(model.jnt_actfrcrange[joint]).max())] if model.jnt_actfrclimited[joint] else []
+    for drive in np.flatnonzero(drives_of(model, joint) & model.actuator_forcelimited.astype(bool)):
+        limits.append(float(np.abs(model.actuator_forcerange[drive] * model.actuator_gear[drive, 0]).max()))
+    return min(limits, default=0.0) or np.inf

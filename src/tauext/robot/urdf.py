@@ -20,9 +20,6 @@ MOVING = {
     "prismatic": mujoco.mjtJoint.mjJNT_SLIDE,
 }
 SEVERAL_AXES = ("floating", "planar", "spherical")
-TYPES = (*MOVING, "fixed", *SEVERAL_AXES)
-INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-
 ATTRIBUTES = {
     "link": ("name",),
     "joint": ("name", "type"),
@@ -31,7 +28,7 @@ ATTRIBUTES = {
     "origin": ("xyz", "rpy", "quat_xyzw"),
     "axis": ("xyz",),
     "mass": ("value",),
-    "inertia": INERTIA,
+    "inertia": ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"),
     "mimic": ("joint", "multiplier", "offset"),
 }
 """Attributes that are read; a mistyped one would otherwise become a default without a word."""
@@ -40,8 +37,6 @@ ELEMENTS = {
     "joint": ("origin", "parent", "child", "axis", "mimic"),
     "inertial": ("origin", "mass", "inertia"),
 }
-LEAST_AXIS = 1e-9
-"""Length below which an axis has no direction."""
 
 
 def urdf_spec(file: XmlFile) -> mujoco.MjSpec:
@@ -51,10 +46,6 @@ def urdf_spec(file: XmlFile) -> mujoco.MjSpec:
     parent are fixed to the world. The URDF standard has no rotor inertia; Drake's extension is supported: a
     transmission of one joint adds its actuator's `rotor_inertia` times the square of `gear_ratio`, or of the standard's
     `mechanicalReduction`.
-
-    Raises:
-        RobotError: the file is a xacro template, its links form no tree, or a name, an attribute or a number is
-            invalid; with the line.
     """
     _refuse_xacro(file)
     links, joints = _named(file, "link"), _named(file, "joint")
@@ -72,7 +63,7 @@ def urdf_spec(file: XmlFile) -> mujoco.MjSpec:
             _set_inertial(file, links[name], body)
         for joint, child in behind[name]:
             own = body.add_body(name="" if child == "world" else child)  # MuJoCo's own root has that name
-            own.pos, own.quat = _origin(file, joint, _called(joint))
+            own.pos, own.quat = origin_of(file, joint, _called(joint))
             if (moved := _add_joint(file, joint, own)) is not None:
                 in_spec[moved.name] = moved
             waiting.append((child, own))
@@ -87,11 +78,13 @@ def urdf_spec(file: XmlFile) -> mujoco.MjSpec:
 # --- Names and their tree.
 
 
+Named = dict[str, ElementTree.Element]
+Behind = dict[str, list[tuple[ElementTree.Element, str]]]
+
+
 def _refuse_xacro(file: XmlFile) -> None:
     names = [element.get("name", "") for kind in ("link", "joint") for element in file.root.findall(kind)]
-    if any(str(element.tag).startswith("xacro:") for element in file.root.iter()) or any(
-        "${" in name for name in names
-    ):
+    if "${" in "".join(names) or any(str(element.tag).startswith("xacro:") for element in file.root.iter()):
         raise RobotError(f"{file.path}: is a xacro template; expand it first: xacro {file.path.name} > robot.urdf")
 
 
@@ -99,9 +92,9 @@ def _called(element: ElementTree.Element) -> str:
     return f"{element.tag} {element.get('name', '')!r}"
 
 
-def _named(file: XmlFile, kind: str) -> dict[str, ElementTree.Element]:
+def _named(file: XmlFile, kind: str) -> Named:
     """The links or joints by name."""
-    found: dict[str, ElementTree.Element] = {}
+    found: Named = {}
     elements = file.root.findall(kind)
     counts = Counter(element.get("name") for element in elements)
     for element in elements:
@@ -120,16 +113,14 @@ def _named(file: XmlFile, kind: str) -> dict[str, ElementTree.Element]:
     return found
 
 
-def _tree(
-    file: XmlFile, links: dict[str, ElementTree.Element], joints: dict[str, ElementTree.Element]
-) -> dict[str, list[tuple[ElementTree.Element, str]]]:
+def _tree(file: XmlFile, links: Named, joints: Named) -> Behind:
     """Joints and child links behind each link, in the order of the file."""
-    behind: dict[str, list[tuple[ElementTree.Element, str]]] = defaultdict(list)
-    above: dict[str, ElementTree.Element] = {}
+    behind: Behind = defaultdict(list)
+    above: Named = {}
     for joint in joints.values():
         who = _called(joint)
-        if (kind := joint.get("type")) not in TYPES:
-            raise file.error(joint, f"{who}: type = {kind!r} must be one of {', '.join(TYPES)}{_near(kind, TYPES)}")
+        if (kind := joint.get("type")) not in (types := (*MOVING, "fixed", *SEVERAL_AXES)):
+            raise file.error(joint, f"{who}: type = {kind!r} must be one of {', '.join(types)}{_near(kind, types)}")
         ends = []
         for tag in ("parent", "child"):
             element = _child(file, joint, tag, who)
@@ -154,12 +145,7 @@ def _tree(
     return behind
 
 
-def _expect_one_base(
-    file: XmlFile,
-    links: dict[str, ElementTree.Element],
-    behind: dict[str, list[tuple[ElementTree.Element, str]]],
-    above: dict[str, ElementTree.Element],
-) -> None:
+def _expect_one_base(file: XmlFile, links: Named, behind: Behind, above: Named) -> None:
     """Refuse loops, and parts beside the robot unless they neither move nor have mass."""
     reached: set[str] = set()
     parts = []
@@ -223,7 +209,7 @@ def _expect_spelling(file: XmlFile, element: ElementTree.Element, who: str) -> N
         )
 
 
-def _numbers(
+def numbers_of(
     file: XmlFile,
     element: ElementTree.Element | None,
     key: str,
@@ -256,19 +242,19 @@ def _child(file: XmlFile, of: ElementTree.Element, tag: str, who: str) -> Elemen
     return child
 
 
-def _origin(file: XmlFile, of: ElementTree.Element, who: str) -> tuple[list[float], np.ndarray]:
+def origin_of(file: XmlFile, of: ElementTree.Element, who: str) -> tuple[list[float], np.ndarray]:
     """Position and quaternion of an element's origin."""
     origin = _child(file, of, "origin", who)
-    place = _numbers(file, origin, "xyz", who, 3, [0.0] * 3)
+    position = numbers_of(file, origin, "xyz", who, 3, [0.0] * 3)
     if file.root.get("version", "1.0") not in ("1", "1.0") and origin is not None and origin.get("quat_xyzw"):
-        x, y, z, w = _numbers(file, origin, "quat_xyzw", who, 4)
-        return place, np.array([w, x, y, z])
+        x, y, z, w = numbers_of(file, origin, "quat_xyzw", who, 4)
+        return position, np.array([w, x, y, z])
     turned = np.array([1.0, 0.0, 0.0, 0.0])
-    for axis, angle in zip(np.eye(3), _numbers(file, origin, "rpy", who, 3, [0.0] * 3), strict=True):
+    for axis, angle in zip(np.eye(3), numbers_of(file, origin, "rpy", who, 3, [0.0] * 3), strict=True):
         about, before = np.empty(4), turned.copy()
         mujoco.mju_axisAngle2Quat(about, axis, angle)
         mujoco.mju_mulQuat(turned, about, before)
-    return place, turned
+    return position, turned
 
 
 # --- One link, one joint.
@@ -284,12 +270,12 @@ def _set_inertial(file: XmlFile, link: ElementTree.Element, body: mujoco.MjsBody
     if mass is None:
         raise file.error(inertial, f"{who}: <inertial> has no <mass>")
     inertia = _child(file, inertial, "inertia", who)
-    products = [_numbers(file, inertia, key, who, 1, [0.0], finite=False) for key in INERTIA[3:]]
-    moments = [_numbers(file, inertia, key, who, finite=False) for key in INERTIA[:3]]
-    six = [value for (value,) in moments + products]
+    keys = ATTRIBUTES["inertia"]
+    six = [numbers_of(file, inertia, key, who, finite=False)[0] for key in keys[:3]]
+    six += [numbers_of(file, inertia, key, who, 1, [0.0], finite=False)[0] for key in keys[3:]]
     body.explicitinertial = True
-    body.mass = _numbers(file, mass, "value", who, finite=False)[0]
-    body.ipos, body.iquat = _origin(file, inertial, who)
+    body.mass = numbers_of(file, mass, "value", who, finite=False)[0]
+    body.ipos, body.iquat = origin_of(file, inertial, who)
     if np.isfinite(six).all():
         body.fullinertia = six
     else:
@@ -303,8 +289,8 @@ def _add_joint(file: XmlFile, joint: ElementTree.Element, body: mujoco.MjsBody) 
     if kind in SEVERAL_AXES:
         return body.add_joint(name=joint.get("name"), type=mujoco.mjtJoint.mjJNT_BALL)
     element = _child(file, joint, "axis", who)
-    axis = [1.0, 0.0, 0.0] if element is None else _numbers(file, element, "xyz", who, 3)
-    if np.linalg.norm(axis) < LEAST_AXIS:
+    axis = [1.0, 0.0, 0.0] if element is None else numbers_of(file, element, "xyz", who, 3)
+    if np.linalg.norm(axis) < 1e-9:
         assert element is not None
         raise file.error(element, f"{who}: <axis xyz={element.get('xyz')!r}> has no direction; give a unit vector")
     return body.add_joint(name=joint.get("name"), type=MOVING[kind], axis=axis)
@@ -318,8 +304,8 @@ def _add_mimic(
     mimic = _child(file, joint, "mimic", who)
     if mimic is None or name not in in_spec or joint.get("type") in SEVERAL_AXES:
         return
-    factor = _numbers(file, mimic, "multiplier", who, 1, [1.0])[0]
-    offset = _numbers(file, mimic, "offset", who, 1, [0.0])[0]
+    factor = numbers_of(file, mimic, "multiplier", who, 1, [1.0])[0]
+    offset = numbers_of(file, mimic, "offset", who, 1, [0.0])[0]
     leader = mimic.get("joint", "")
     equality = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT, name1=name, objtype=mujoco.mjtObj.mjOBJ_JOINT)
     if leader in in_spec and leader != name:
@@ -368,7 +354,7 @@ def _set_gravity(file: XmlFile, spec: mujoco.MjSpec) -> None:
     option = file.root.find("mujoco/option")
     if option is None:
         return
-    spec.option.gravity = _numbers(file, option, "gravity", "extension 'mujoco'", 3, list(spec.option.gravity))
+    spec.option.gravity = numbers_of(file, option, "gravity", "extension 'mujoco'", 3, list(spec.option.gravity))
     flag = option.find("flag")
     if flag is not None and flag.get("gravity") == "disable":
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_GRAVITY

@@ -18,8 +18,6 @@ NO_MODEL = "no_model"
 """Name of a placeholder robot."""
 PAYLOAD = "tauext_payload"
 """Name of the link that a payload becomes."""
-NO_MODEL_MASS_KG = 1e-9
-"""Mass of each link of a placeholder, [kg]: negligible but not zero, since a moving link must have a mass."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +56,7 @@ def write_robot(
         if not (rotor_inertia or payload or gravity):
             return _write(folder / "robot.urdf", source.read_bytes())
         _change_urdf(root, source, rotor_inertia, payload, gravity)
-        ElementTree.indent(root)
-        return _write(folder / "robot.urdf", ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
+        return _write(folder / "robot.urdf", _urdf(root))
     return _write(folder / "robot.xml", _changed_mjcf(source, rotor_inertia, payload, gravity).encode())
 
 
@@ -68,20 +65,25 @@ def write_placeholder(joints: Sequence[str], folder: Path) -> Path:
 
     Its momentum and gravity are zero up to rounding; its axes and lengths are arbitrary.
     """
+    mass_kg = 1e-9  # a moving link must have a mass
     root = ElementTree.Element("robot", name=NO_MODEL)
     root.append(ElementTree.Comment(" no model was given: axes and lengths are made up, masses nil "))
     ElementTree.SubElement(root, "link", name="base")
     parent = "base"
     for joint in joints:
         link = ElementTree.SubElement(root, "link", name=f"{joint}_link")
-        _inertial(link, (0, 0, 0), NO_MODEL_MASS_KG, (NO_MODEL_MASS_KG,) * 3 + (0, 0, 0))
+        _inertial(link, (0, 0, 0), mass_kg, (mass_kg,) * 3 + (0, 0, 0))
         element = ElementTree.SubElement(root, "joint", name=joint, type="continuous")
         ElementTree.SubElement(element, "parent", link=parent)
         ElementTree.SubElement(element, "child", link=f"{joint}_link")
         ElementTree.SubElement(element, "axis", xyz="0 0 1")
         parent = f"{joint}_link"
+    return _write(folder / "robot.urdf", _urdf(root))
+
+
+def _urdf(root: ElementTree.Element) -> bytes:
     ElementTree.indent(root)
-    return _write(folder / "robot.urdf", ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
+    return bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True))
 
 
 def is_placeholder(path: Path) -> bool:
@@ -147,12 +149,10 @@ def _changed_mjcf(
         body.mass, body.ipos, body.iquat = model.body_mass[row], model.body_ipos[row], model.body_iquat[row]
         body.inertia, body.fullinertia = model.body_inertia[row], [float("nan")] + [0.0] * 5
         body.explicitinertial = True
-    for shapes in (spec.pairs, spec.excludes, spec.sensors, spec.geoms, spec.skins, spec.meshes, spec.hfields):
-        for shape in list(shapes):
-            spec.delete(shape)
-    for looks in (spec.materials, spec.textures):
-        for look in list(looks):
-            spec.delete(look)
+    shapes = (spec.pairs, spec.excludes, spec.sensors, spec.geoms, spec.skins, spec.meshes, spec.hfields)
+    for part in (*shapes, spec.materials, spec.textures):
+        for one in list(part):
+            spec.delete(one)
     joints = {joint.name: joint for joint in spec.joints}
     for name, (inertia, gear) in rotor_inertia.items():
         _require(source, "joint", name, list(joints))
@@ -163,9 +163,8 @@ def _changed_mjcf(
     if payload:
         bodies = {body.name: body for body in spec.bodies}
         _require(source, "link", payload.link, list(bodies))
-        xx, yy, zz, xy, xz, yz = payload.inertia_kg_m2
         carried = bodies[payload.link].add_body(name=PAYLOAD, mass=payload.mass_kg, ipos=list(payload.com_m))
-        carried.fullinertia = [xx, yy, zz, xy, xz, yz]
+        carried.fullinertia = list(payload.inertia_kg_m2)
         carried.explicitinertial = True
     if gravity:
         spec.option.gravity = list(gravity)

@@ -12,9 +12,6 @@ from tauext.errors import AwayError, ConfigError
 from tauext.monitor.source import SourceFacts
 from tauext.robot.read import movable_joints
 
-NOMINAL_HZ = (2000, 1000, 500, 400, 250, 240, 200, 125, 120, 100, 60, 50, 40, 30, 25, 20, 15, 10)
-NEAR = 0.01
-"""Relative difference below which a measured rate is a nominal one."""
 LEARNT_STEPS = 20
 """Steps between stamps from which a period is learnt."""
 
@@ -91,10 +88,11 @@ def mean_period_ns(steps_ns: Sequence[int]) -> int:
 
 
 def nominal_period_ns(period_ns: float) -> int:
-    """The period of the nominal rate that a measured one is close to, else the measured one."""
+    """The period of the nominal rate that a measured one is within 1 % of, else the measured one."""
     rate_hz = 1e9 / period_ns
-    nearest_hz = min(NOMINAL_HZ, key=lambda hz: abs(hz / rate_hz - 1))
-    return round(1e9 / nearest_hz if abs(nearest_hz / rate_hz - 1) <= NEAR else period_ns)
+    usual_hz = (2000, 1000, 500, 400, 250, 240, 200, 125, 120, 100, 60, 50, 40, 30, 25, 20, 15, 10)
+    nearest_hz = min(usual_hz, key=lambda hz: abs(hz / rate_hz - 1))
+    return round(1e9 / nearest_hz if abs(nearest_hz / rate_hz - 1) <= 0.01 else period_ns)
 
 
 def learnt_period_ns(stamps_ns: Sequence[int], arm: str) -> int:

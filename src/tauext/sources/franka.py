@@ -17,7 +17,6 @@ from tauext.sources.reader import ReaderSource, Unreachable, sample_of
 RATE_HZ = 1000.0
 JOINTS = tuple(f"joint{number}" for number in range(1, 8))
 """Names in the maker's robot files, behind a prefix such as fr3_."""
-KEPT = 256
 
 
 class FrankaSource(ReaderSource):
@@ -33,7 +32,7 @@ class FrankaSource(ReaderSource):
         super().__init__(f"franka {host}")
         self._host = host
         self._robot: Any = None
-        self.reference: deque[tuple[int, np.ndarray]] = deque(maxlen=KEPT)
+        self.reference: deque[tuple[int, np.ndarray]] = deque(maxlen=256)
         """Newest pairs of t_ns and tau_ext_hat_filtered (7,) [N m]."""
 
     def find_out(self, wait_s: float, robot: Path | None) -> SourceFacts:

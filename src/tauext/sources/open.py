@@ -55,13 +55,6 @@ class SourceKind:
 
 # --- The kinds of this package. Modules of drivers are imported when a source is opened.
 
-SPEED = Option("speed", float | None, "factor on the recorded speed of a replay, at least 1. None: 1.")
-TORQUE_CONSTANTS = Option(
-    "torque_constants",
-    Path | None,
-    "with --source ur, a file with the torque constant of each joint, Nm per ampere of motor current.",
-)
-
 
 def open_replay(target: str, bundle: Bundle | None, speed: float = 1.0) -> Source:
     from tauext.sources.replay import ReplaySource
@@ -86,8 +79,22 @@ def open_franka(target: str, bundle: Bundle | None) -> Source:
 
 
 KINDS: Mapping[str, SourceKind] = {
-    "replay": SourceKind(open_replay, "FILE", (SPEED,)),
-    "ur": SourceKind(open_ur, "HOST", (TORQUE_CONSTANTS,)),
+    "replay": SourceKind(
+        open_replay,
+        "FILE",
+        (Option("speed", float | None, "factor on the recorded speed of a replay, at least 1. None: 1."),),
+    ),
+    "ur": SourceKind(
+        open_ur,
+        "HOST",
+        (
+            Option(
+                "torque_constants",
+                Path | None,
+                "with --source ur, a file with the torque constant of each joint, Nm per ampere of motor current.",
+            ),
+        ),
+    ),
     "franka": SourceKind(open_franka, "HOST"),
 }
 

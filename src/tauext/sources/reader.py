@@ -16,15 +16,14 @@ from tauext.monitor.source import Sample, SourceCounts, SourceFacts, SourceSetti
 # --- Bounded queue between the receiving thread and the loop. The newest samples win; dropped ones are counted.
 
 
-CAPACITY = 1000
-"""Samples: a second at 1 kHz, from which a late loop catches up in a few milliseconds."""
-
-
 class SampleQueue:
     """Samples in order; any thread may put, one thread takes."""
 
-    def __init__(self, counts: SourceCounts, capacity: int = CAPACITY):
-        """counts: `received` counts every put, `overrun` every dropped sample."""
+    def __init__(self, counts: SourceCounts, capacity: int = 1000):
+        """counts: `received` counts every put, `overrun` every dropped sample.
+
+        capacity: a second at 1 kHz, from which a late loop catches up in a few milliseconds.
+        """
         self._counts, self._capacity = counts, capacity
         self._samples: deque[Sample] = deque()
         self._changed = threading.Condition()

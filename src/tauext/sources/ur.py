@@ -60,14 +60,7 @@ JOINTS = (
 )  # fmt: skip
 """Names in the maker's robot files, in the order of the controller."""
 RTDE_PORT = 30004
-ASK_FOR_PROTOCOL = struct.pack(">HcH", 5, b"V", 2)
-"""Packet that asks for version 2 of RTDE; every controller answers it."""
 ANSWER_S = 2.0
-ITS_OWN_HZ = -1.0
-"""The library then takes the controller's own rate."""
-DESCRIBING_NAP_S = 2e-4
-POLLS_A_PERIOD = 10
-"""The library has its own thread and keeps the newest packet alone: a new one is seen by its time stamp."""
 
 
 def expect_controller(host: str) -> None:
@@ -78,7 +71,7 @@ def expect_controller(host: str) -> None:
     """
     try:
         with socket.create_connection((host, RTDE_PORT), ANSWER_S) as one:
-            one.sendall(ASK_FOR_PROTOCOL)
+            one.sendall(struct.pack(">HcH", 5, b"V", 2))  # asks for version 2 of RTDE; every controller answers
             if not one.recv(16):
                 raise Unreachable("the controller does not accept the connection: is it still booting?")
     except OSError as error:
@@ -122,7 +115,7 @@ class UrSource(ReaderSource):
         joints, notes = joint_names(JOINTS, robot, self.name)
         if self._file is not None:
             load_torque_constants(self._file, joints)
-        self._connect(ITS_OWN_HZ)
+        self._connect(-1.0)  # the controller's own rate
         stamps = [self._stamp_s]
         while len(stamps) <= LEARNT_STEPS and time.monotonic() < until:
             if not self._receive.isConnected():
@@ -130,7 +123,7 @@ class UrSource(ReaderSource):
             if (stamp_s := self._receive.getTimestamp()) != stamps[-1]:
                 stamps.append(stamp_s)
             else:
-                time.sleep(DESCRIBING_NAP_S)
+                time.sleep(2e-4)
         period_ns = learnt_period_ns([round(stamp_s * 1e9) for stamp_s in stamps], self.name)
         amperes = self._file is None
         settings = SourceSettings(joints, period_ns, ("A" if amperes else "N m",) * len(joints), "held")
@@ -155,7 +148,8 @@ class UrSource(ReaderSource):
                 raise Unreachable("the connection is closed")
             if time.monotonic() > until:
                 return None
-            time.sleep(self.settings.period_ns * 1e-9 / POLLS_A_PERIOD)
+            # The library has its own thread and keeps the newest packet alone: a new one is seen by its time stamp.
+            time.sleep(self.settings.period_ns * 1e-10)
         while True:  # the getters read the newest packet each: all of one sample must be of one packet
             q, dq, current, celsius = (get() for get in self._getters())
             again_s = self._receive.getTimestamp()

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from tauext import _core
-from tauext.bundle.history_file import expect_journal
 from tauext.bundle.match import expect_fit
 from tauext.config import AlarmConfig
 from tauext.data.dataset import ahead
@@ -293,8 +292,7 @@ def calibration_peaks(bundle: _core.Bundle, motion: LimitMotion) -> tuple[list[P
     checkpoint = checkpoint_of(bundle, motion)
     before = (checkpoint and checkpoint.load(list[Peaks])) or []
     done = len(before[0].recordings) if before else 0
-    for folder in folders:
-        expect_journal(folder)
+    labels = [label for folder in folders for label in read_labels(folder, to_train=True)]
     with motion.report.progress(f"calibrate {motion.name}") as show:
 
         def not_done() -> Iterator[Recording]:
@@ -305,7 +303,6 @@ def calibration_peaks(bundle: _core.Bundle, motion: LimitMotion) -> tuple[list[P
 
         holds_s, threads, margins = motion.alarm.holds_s, motion.threads, motion.margins
         peaks = collect_peaks(bundle, not_done(), holds_s, threads, margins, before, checkpoint)
-        labels = [label for folder in folders for label in read_labels(folder)]
         suspects = find_suspects(bundle, peaks[-1], lambda number: loaders[number](), labels, threads)
         forget(peaks, suspects)
     for words in suspect_sentences(suspects):

@@ -11,7 +11,6 @@ from typing import Any
 from tauext import plugins
 from tauext._core import Bundle
 from tauext.bundle.bundle_file import load_bundle, write_bundle
-from tauext.bundle.history_file import expect_journal
 from tauext.check.before_training import Rejected, expect_codes
 from tauext.config import PAPER_CASES, CaseName, TrainConfig, checked
 from tauext.data.dataset import Dataset
@@ -137,7 +136,7 @@ def train_bundle(
     accept: Sequence[str] = (),
     check: bool = True,
     start: Start = NOTHING,
-    meshes: MeshFolders = MeshFolders(),  # noqa: B008
+    meshes: MeshFolders = MeshFolders(),
 ) -> Bundle:
     """Train on a dataset's free motion, find limits on its validation or calibration recordings, and write one bundle.
 
@@ -176,8 +175,7 @@ def train_bundle(
     with times.phase("read"):
         training, validation = dataset.training(), dataset.recordings("validation")
     calibration = dataset.stretches("calibration")
-    expect_journal(dataset.folder)
-    labels = read_labels(dataset.folder)
+    labels = read_labels(dataset.folder, to_train=True)
     given = TrainingInput(
         robot_file, PAPER_CASES[case], training, validation, calibration, start=start, meshes=meshes, labels=labels
     )

@@ -38,7 +38,7 @@ def is_own_name(name: str, host: str) -> bool:
 
 
 def is_own_host(host_header: str, host: str) -> bool:
-    """As is_own_name(), for a Host header."""
+    """Whether a Host header has a name of this server, see is_own_name()."""
     try:
         called = urlsplit(f"//{host_header}")
         return not called.path and is_own_name(called.hostname or "", host)
@@ -64,7 +64,7 @@ def is_from_own_page(method: str, path: str, headers: Mapping[str, str]) -> bool
 
 
 def listening_socket(host: str, wanted: int) -> socket.socket:
-    """A socket that listens at the first free port from the wanted one on; nobody else can take it from here on.
+    """A socket that listens at the first free port from the wanted one on; no other process can take it afterwards.
 
     Raises:
         ConfigError: none of them is free, or the host is not one of this machine.

@@ -1,4 +1,4 @@
-"""Connections of the page's server: bounded in number, bytes and time, so that nobody keeps its owner out."""
+"""Connections of the page's server: bounded in number, bytes and time, so that strangers cannot keep its owner out."""
 
 from __future__ import annotations
 

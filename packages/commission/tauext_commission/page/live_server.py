@@ -21,7 +21,7 @@ from typing import Any
 
 from aiohttp import web
 
-from tauext.bundle.history_file import read_events, read_history, read_question
+from tauext_commission.history_file import read_events, read_history, read_question
 from tauext_commission.page.access import is_from_own_page, is_own_host
 from tauext_commission.page.connections import Connection
 
@@ -117,8 +117,10 @@ class Folder:
 
 
 def trace_of(path: Path, event_ns: int) -> dict[str, Any] | None:
-    """Of every joint: time from the event [s], tau_ext, standard error and limits; of each bin the row with the largest
-    share of a limit."""
+    """Rows of an event for each joint: time from the event [s], tau_ext, standard error and limits.
+
+    Each bin has the row with the largest share of a limit.
+    """
     import numpy as np
 
     from tauext.bundle.estimates import load_estimates

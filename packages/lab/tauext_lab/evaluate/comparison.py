@@ -50,7 +50,7 @@ from tauext_lab.evaluate.free_motion import (
 )
 from tauext_lab.evaluate.injected import EVENTS, Injection
 from tauext_lab.evaluate.missed_curve import MissedCurve
-from tauext_lab.evaluate.results import CollisionVerdict, EvaluatedBundle, Injected, Limits, NoticedForce, Results
+from tauext_lab.evaluate.results import CollisionVerdict, DetectedForces, EvaluatedBundle, Limits, Results
 
 # --- All measurements of one bundle, collected recording by recording.
 
@@ -114,8 +114,7 @@ class BundleMeasures:
         touches: Sequence[Collision],
         ten: Sequence[str],
         loss_history: LossHistory | None,
-        noticed: NoticedForce | None = None,
-        injected: Injected | None = None,
+        forces: DetectedForces = DetectedForces(None),  # noqa: B008
     ) -> EvaluatedBundle:
         """All numbers of the bundle.
 
@@ -151,8 +150,7 @@ class BundleMeasures:
             touches=self._touches.summary(),
             loss_history=losses or None,
             changed_since_training=changed_since_training(trained),
-            noticed_force=noticed,
-            injected=injected,
+            forces=forces,
         )
 
 
@@ -315,14 +313,18 @@ class Comparison:
                     touches,
                     ten,
                     histories.get(name),
-                    self._limits_held[name].summary(self._bundles[name]),
-                    None if self._injection is None else self._injection.summary(name),
+                    self._detected(name),
                 )
                 for name, measured in self._measures.items()
             ),
             own_torque=None if self._own is None else self._own.summary(),
             sanity=tuple(detector.summary() for detector in self._ignorant),
         )
+
+    def _detected(self, name: str) -> DetectedForces:
+        """What push the bundle of this name detects."""
+        added = None if self._injection is None else self._injection.summary(name)
+        return DetectedForces(self._limits_held[name].summary(self._bundles[name]), added)
 
 
 def expect_work(

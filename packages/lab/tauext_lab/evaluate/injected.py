@@ -128,7 +128,7 @@ class Injection:
         threads: int,
         contacts: Contacts = (),
     ) -> list[tuple[bool, bool, float | None]]:
-        """Of each event whether it was latched, whether its time was unhealthy, and its delay."""
+        """Whether each event was latched, whether its time was unhealthy, and its delay."""
         nm_per_unit = np.array(self.reference.observer.nm_per_unit or 1.0)
         tau = recording.tau.copy()
         for event in events:

@@ -173,7 +173,7 @@ class CollisionVerdict:
     sensor_delay_s: Number
     delay_against_sensor_s: Number
     joint_delays_against_sensor_s: Numbers
-    """The same of each joint alone: its own estimate and its own sensor."""
+    """Delay of each joint alone: of its own estimate against its own sensor."""
 
 
 @dataclass(frozen=True)
@@ -400,20 +400,20 @@ class Pressed:
     most_n: float
     """Range of the tool's force, one for each recording, [N]."""
     hours: float
-    """Of pressing without other forces."""
+    """Hours of pressing without other forces."""
     false_collisions: int
     """In that time; those less than 0.5 s apart count as one."""
     events: int
     latched: int
     latched_free: int
-    """Of the same events in free motion."""
+    """Number of the same events that are detected in free motion."""
     delay_median_s: Number
     delay_free_median_s: Number
 
 
 @dataclass(frozen=True, kw_only=True)
 class Injected:
-    """Of one bundle."""
+    """Forces added to free motion, and which of them one bundle detects."""
 
     unit: str
     events: int
@@ -434,6 +434,15 @@ class Injected:
 
     def at(self, place: str) -> tuple[InjectedCurve, ...]:
         return tuple(one for one in self.curves if one.place == place)
+
+
+@dataclass(frozen=True)
+class DetectedForces:
+    """What push a bundle detects: one that lasts, by its limits, and pushes added to free motion."""
+
+    lasting: NoticedForce | None
+    added: Injected | None = None
+    """None: none were added."""
 
 
 # --- Labelled events: found, how late, false alarms an hour of free time, moving and resting apart.
@@ -480,7 +489,7 @@ class FalseAlarm:
 
 @dataclass(frozen=True)
 class Events:
-    """Of one method."""
+    """Labelled events that one method found."""
 
     shortest_event_s: float
     tolerance_s: float
@@ -543,7 +552,7 @@ class TouchEstimate:
 
 @dataclass(frozen=True)
 class Touches:
-    """Of one bundle."""
+    """Links, kinds and forces that one bundle reported of labelled touches."""
 
     stated_from: float
     links: LinkTable | None
@@ -601,8 +610,7 @@ class EvaluatedBundle:
     """Step, training loss, validation loss; None if nothing was recorded."""
     changed_since_training: dict[str, str]
     """Steps after its training, and their results as text."""
-    noticed_force: NoticedForce | None
-    injected: Injected | None = None
+    forces: DetectedForces
 
     @property
     def model(self) -> str | None:

@@ -88,7 +88,7 @@ def evaluate_bundles(
             threads or os.cpu_count() or 1, lambda what, done, total: show(done, total, "recordings"), histories,
             keep_free_estimates, sanity, events, calibration, kept, inject,
         )  # fmt: skip
-    if inject and not any(one.injected and one.injected.events for one in results.bundles):
+    if inject and not any(one.forces.added and one.forces.added.events for one in results.bundles):
         kept.end()
         raise ConfigError(why_nothing_injected(dataset))
     write_json({"evaluate_s": time.monotonic() - started}, out / "wall_time_s.json")

@@ -128,7 +128,7 @@ def region_cells(region: SigmaRegion) -> list[str]:
 
 BINS = (300, 200)
 SPEED_BINS = 60
-"""Of limits that follow the motion."""
+"""Bins of the speed for limits that follow the motion."""
 MOST_NAMED = 5
 CLOSE_UP = 5
 """The right column shows this many times the near-stiction speed."""

@@ -63,7 +63,7 @@ class Flight:
         return of_all(self.event["estimate_units"])
 
     def estimate_unit_of(self, joint: int) -> str:
-        """Of one joint."""
+        """Unit of one joint's estimates."""
         return short(self.event["estimate_units"][joint])
 
     @property

@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_files
 from tauext.fit.tail import duration
-from tauext_lab.evaluate.results import EvaluatedBundle, Injected, NoticedForce
+from tauext_lab.evaluate.results import EvaluatedBundle, Injected, NoticedAt, NoticedForce
 from tauext_lab.report.signals import NotAvailable
 from tauext_lab.report.style import (
     CASE_COLOURS,
@@ -34,7 +34,7 @@ from tauext_lab.report.tables import NONE, Row, Table, block, milliseconds
 
 
 COLOURS = (CASE_COLOURS["none"], CASE_COLOURS["exact"], VARIANT_COLOURS["none"], VARIANT_COLOURS["exact"])
-"""Of limits in their order: collision, contact; or both while sliding, then near stiction."""
+"""Colours of limits in their order: collision, contact; or both while sliding, then near stiction."""
 MOST_N, EDGE_N = 1000.0, 1950.0
 """Above MOST_N a direction is blind; blind marks are drawn between MOST_N and EDGE_N."""
 BLIND_N = 1400.0
@@ -47,8 +47,6 @@ CLOSING = (
 Limit = TypeVar("Limit")
 ONE_SIDED_95 = 1.645
 """Standard errors that 95 % of errors are below."""
-WAYS = {"x": "x", "y": "y", "z": "z", "worst_way": "worst way"}
-"""Directions by their keys, in words."""
 
 
 def joined(limits: Mapping[str, Limit]) -> dict[str, Limit]:
@@ -135,22 +133,44 @@ def at_or_blind(force_n: float | None) -> float:
     return BLIND_N if force_n is None else force_n
 
 
-def noticed_table(noticed: NoticedForce | None) -> Table | None:
-    """A row a limit and point; None without forces."""
-    if noticed is None or not noticed.limits:
+def forces_table(bundles: Sequence[EvaluatedBundle], shown: EvaluatedBundle) -> Table | None:
+    """Pushes that the shown bundle detects, a row a limit and place: the smallest one that lasts, and by shape the peak
+    from which on 9 of 10 added ones are detected, and their delay. Of other bundles the place of the figure.
+
+    None without any force.
+    """
+    lasting, added = shown.forces.lasting, shown.forces.added
+    limits = joined(lasting.limits) if lasting is not None else {}
+    shapes = list(dict.fromkeys(one.shape for one in added.curves)) if added is not None else []
+    if not limits and not shapes:
         return None
     rows: list[Row] = []
-    for limit, entries in joined(noticed.limits).items():
-        lines = []
-        for at in entries:
-            forces = [at.every_way.median_n, at.every_way.nine_of_ten_n]
-            for way in WAYS:
-                forces += [getattr(at, way).median_n, getattr(at, way).worst_n]
-            lines.append((short(at.place), *map(newtons, forces), f"{100 * at.worst_way.blind_share:.0f}"))
-        rows += block(limit, lines)
-    groups = (("", 2), ("every way", 2), *((words, 2) for words in WAYS.values()), ("", 1))
-    columns = ("limit", "at the end of", "median", "9 of 10", *("median", "worst") * len(WAYS), "blind, %")
-    return Table(groups, columns, tuple(rows), words=2)
+    for limit, entries in limits.items():
+        with_added = added if "collision" in limit else None
+        rows += block(limit, [[short(at.place), *stays(at), *hits(with_added, at.place, shapes)] for at in entries])
+    named = {at.place for entries in limits.values() for at in entries}
+    for bundle in (shown, *(one for one in bundles if one is not shown)):
+        if (theirs := bundle.forces.added) is not None and added is not None and added.curves:
+            places = dict.fromkeys(one.place for one in theirs.curves) if bundle is shown else [added.place]
+            left = [at for at in places if bundle is not shown or at not in named]
+            rows += block(bundle.label, [[at, *[NONE] * 5, *hits(theirs, at, shapes)] for at in left], bundle.name)
+    groups = (("", 2), ("lasts, every way", 2), ("worst way", 2), ("", 1), *((shape, 2) for shape in shapes))
+    unit = "N" if added is None else added.unit
+    columns = ("limit", "at the end of", *("median", "9 of 10"), *("median", "worst"), "blind, %")
+    return Table(groups, (*columns, *(unit, "ms") * len(shapes)), tuple(rows), words=2)
+
+
+def stays(at: NoticedAt) -> list[str]:
+    """Cells of the smallest force that goes over a limit at one place."""
+    forces = [at.every_way.median_n, at.every_way.nine_of_ten_n, at.worst_way.median_n, at.worst_way.worst_n]
+    return [*map(newtons, forces), f"{100 * at.worst_way.blind_share:.0f}"]
+
+
+def hits(added: Injected | None, place: str, shapes: Sequence[str]) -> list[str]:
+    """Cells of the peaks from which on 9 of 10 are detected at one place, and of their delay, by shape."""
+    curves = () if added is None else added.at(place)
+    known = {one.shape: (peak(one.nine_of_ten), milliseconds(one.delay_median_s)) for one in curves}
+    return [cell for shape in shapes for cell in known.get(shape, (NONE, NONE))]
 
 
 def short(place: str) -> str:
@@ -199,7 +219,7 @@ def draw_injected(bundles: Sequence[EvaluatedBundle], shown: EvaluatedBundle) ->
     Raises:
         NotAvailable: no forces were added, or no event fitted into the free motion.
     """
-    injected = shown.injected
+    injected = shown.forces.added
     if injected is None:
         raise NotAvailable("no forces were added to free motion; `tauext evaluate --inject` does so")
     if not injected.curves:
@@ -209,7 +229,8 @@ def draw_injected(bundles: Sequence[EvaluatedBundle], shown: EvaluatedBundle) ->
     panels = figure.subplots(2, len(shapes), sharex="col", sharey="row", squeeze=False)
     strokes = bundle_strokes([bundle.name for bundle in bundles])
     for bundle in bundles:
-        known = {} if bundle.injected is None else {c.shape: c for c in bundle.injected.at(place)}
+        theirs = bundle.forces.added
+        known = {} if theirs is None else {c.shape: c for c in theirs.at(place)}
         style = strokes[bundle.name] | {"markersize": 3.5, "linewidth": 1.3}
         for k, shape in enumerate(shapes):
             bins = [one for one in known[shape].bins if one.events] if shape in known else []
@@ -235,28 +256,6 @@ def draw_injected(bundles: Sequence[EvaluatedBundle], shown: EvaluatedBundle) ->
         f"median time from the onset to the alarm, of those detected. {ASSUMED}"
         f"{' ' if injected.left_out else ''}{left_out_words(injected.left_out)}",
     )
-
-
-def injected_table(bundles: Sequence[EvaluatedBundle], shown: EvaluatedBundle) -> Table | None:
-    """Peaks from which on 9 of 10 are detected and the delay from there on: every place of the shown bundle, and the
-    place of the figure for the others."""
-    injected = shown.injected
-    if injected is None or not injected.curves:
-        return None
-    place, shapes = injected.place, list(dict.fromkeys(one.shape for one in injected.curves))
-    rows: list[Row] = []
-    for bundle in (shown, *(one for one in bundles if one is not shown)):
-        theirs = bundle.injected
-        if theirs is None:
-            continue
-        places = list(dict.fromkeys(one.place for one in theirs.curves)) if bundle is shown else [place]
-        lines = []
-        for at in places:
-            known = {one.shape: (peak(one.nine_of_ten), milliseconds(one.delay_median_s)) for one in theirs.at(at)}
-            lines.append([at, *(cell for shape in shapes for cell in known.get(shape, (NONE, NONE)))])
-        rows += block(bundle.label, lines, bundle.name)
-    groups = (("", 2), *((shape, 2) for shape in shapes))
-    return Table(groups, ("", "at", *(injected.unit, "ms") * len(shapes)), tuple(rows), words=2)
 
 
 def what(injected: Injected) -> str:

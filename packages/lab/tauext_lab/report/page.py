@@ -40,9 +40,8 @@ from tauext_lab.report.force_figures import (
     CLOSING,
     draw_injected,
     draw_noticed_force,
-    injected_table,
+    forces_table,
     injected_words,
-    noticed_table,
     pressed_words,
     surely,
 )
@@ -388,20 +387,18 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
 
 
 def forces_of(shown: EvaluatedBundle, results: Results) -> dict[str, Any]:
-    """How large a force is noticed, and how many added ones were found."""
-    noticed, injected = shown.noticed_force, shown.injected
+    """What push is detected: one that lasts, and added ones."""
+    lasting, added = shown.forces.lasting, shown.forces.added
     return {
-        "noticed": noticed_table(noticed),
-        "noticed_by": shown.label,
-        "noticed_refused": noticed and noticed.refused,
-        "noticed_gain": noticed and noticed.gain_per_s,
-        "noticed_times": surely(noticed.error_share) if noticed and noticed.error_share else None,
-        "noticed_closing": CLOSING,
-        "injected": injected,
-        "injected_words": injected_words(injected) if injected and injected.curves else "",
-        "pressed_words": pressed_words(injected) if injected else "",
-        "injected_closing": ASSUMED,
-        "injected_table": injected_table(results.bundles, shown),
+        "forces_table": forces_table(results.bundles, shown),
+        "forces_of": shown.label,
+        "lasting": lasting,
+        "lasting_times": surely(lasting.error_share) if lasting and lasting.error_share else None,
+        "lasting_closing": CLOSING,
+        "added": added,
+        "added_words": injected_words(added) if added and added.curves else "",
+        "pressed_words": pressed_words(added) if added else "",
+        "added_closing": ASSUMED,
     }
 
 
@@ -505,7 +502,7 @@ def write_report(
         "training-loss": partial(draw_training_loss, results),
         "error-against-sigma": partial(draw_error_against_sigma, results),
         "found-curve": partial(draw_found_curve, results),
-        "noticed-force": lambda: draw_noticed_force(shown_bundle(results).noticed_force),
+        "noticed-force": lambda: draw_noticed_force(shown_bundle(results).forces.lasting),
         "injected": lambda: draw_injected(results.bundles, shown_bundle(results)),
     }
     page = out_dir / "report.html"

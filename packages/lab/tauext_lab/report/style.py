@@ -22,7 +22,7 @@ from tauext_lab.evaluate.results import Results, model_of
 
 
 WIDTH_IN = 10.0
-"""Of every figure; the page shows an inch as 100 pixels, so that 9 points are 12.5 pixels."""
+"""Width of every figure; the page shows an inch as 100 pixels, so that 9 points are 12.5 pixels."""
 DPI = 180
 
 OBSERVER = "#b0b0b0"
@@ -120,13 +120,13 @@ def use_log_height(axes: Axes) -> None:
 
 
 def use_log_width(axes: Axes) -> None:
-    """The same along the horizontal axis."""
+    """Use a logarithmic horizontal axis with plain numbers."""
     axes.set_xscale("log")
     _number_plainly(axes.xaxis)
 
 
 def use_log_counts(axes: Axes) -> None:
-    """The same for counts from tens to millions, with numbers at 1 of every decade alone: 100, 1k, 10k."""
+    """Use a logarithmic horizontal axis for counts from tens to millions, with numbers at 100, 1k, 10k."""
     axes.set_xscale("log")
     _number_plainly(axes.xaxis, (1,))
     axes.xaxis.set_major_formatter(
@@ -200,7 +200,7 @@ class Drawing:
 
 
 def save_png(figure: Figure, path: Path) -> Path:
-    """As `figure.savefig` does, with one drawing instead of two: the layout is computed by the drawing itself."""
+    """Save the figure with one drawing, which computes the layout, too; `figure.savefig` draws twice."""
     figure.set_dpi(DPI)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # a letter of a joint's name that the font lacks

@@ -62,7 +62,7 @@ class Scene:
 
     @property
     def sensor(self) -> np.ndarray | None:
-        """Of the joint, (samples,); the robot's own external torque where there is no sensor, None without either."""
+        """The joint's sensor, (samples,); without one the robot's own external torque; None without either."""
         known = self.recording.tau_ext_sensor
         known = self.recording.tau_ext if known is None else known
         return None if known is None else known[:, self.joint]

@@ -144,7 +144,7 @@ AROUND_S = 0.5
 EVENT_S = 1.0
 """... to this time after its end, or after this much of it."""
 METHOD_SIGNALS = ("tau_ext", "limit", "sigma", "learned", "r")
-"""Of every method; sigma of those whose bundle has an error scale."""
+"""Signals of every method; only bundles with an error scale have sigma."""
 
 
 @dataclass
@@ -257,7 +257,7 @@ def encode(buckets: Buckets, quantum: np.ndarray) -> tuple[bytes, list[int]]:
 
 
 def two_rows(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Of one trace in quanta: steps of the minimum and widths, (2, buckets) uint32; a hole keeps the last minimum."""
+    """A trace in quanta: steps of the minimum and widths, (2, buckets) uint32; a hole keeps the last minimum."""
     with np.errstate(invalid="ignore"):
         there = (np.abs(low) < LARGEST) & (np.abs(high) < LARGEST)
     low, high = (np.rint(np.where(there, values, 0)).astype(np.int64) for values in (low, high))
@@ -273,13 +273,13 @@ QUANTA_A_LIMIT, QUANTA_A_RANGE = 1000, 8000
 """External torque, standard error and limits are kept in steps of a joint's smallest limit by the one; other signals,
 and where there is no limit, in steps of their range by the other, if that is more."""
 RANGE_PERCENT = (0.1, 99.9)
-"""Of all buckets: one wild value does not make the others coarse."""
+"""Percentiles of all buckets that bound the range: one wild value does not make the others coarse."""
 QUANTA_A_ROW = 500
 """A row of the page spans so many at least: on its 200 pixels the rounding is a fifth of one."""
 CLOSE_SHARE = 0.65
-"""Of the bytes, at most, go to the samples around events."""
+"""Largest share of the bytes that the samples around events get."""
 BYTES_A_SAMPLE, BYTES_A_BUCKET = 0.5, 1.0
-"""Of base64, that one of a trace takes, or a little less: where counting starts from."""
+"""Bytes of base64 that a sample and a bucket of a trace take, or a little less: where counting starts."""
 FEWEST_BUCKETS = 100
 """Recordings are not merged further once none has more, whatever room there is."""
 

@@ -55,7 +55,7 @@ class Words:
     learned: str
     """Taken off the observer's output: prior, network, drift."""
     units: list[str]
-    """Of torques, a joint."""
+    """Units of the torques, one a joint."""
 
 
 def results_traces(results: Results, signals: Signals, room: float, methods: Sequence[str] = ()) -> PageTraces:

@@ -30,7 +30,7 @@ class PlantSample:
     tau_ext: np.ndarray
     """True external torque J^T f of a push, [N m]."""
     tau_held: np.ndarray
-    """The same of a weight in the hand: external torque for a monitor without this load, [N m]."""
+    """Torque of a weight in the hand: external torque for a monitor without this load, [N m]."""
 
 
 class Plant:

@@ -49,9 +49,9 @@ class Servos:
     coulomb_nm: np.ndarray
     stribeck_nm: np.ndarray
     motor_share: np.ndarray
-    """Of the motor's torque, that becomes friction."""
+    """Share of the motor's torque that becomes friction."""
     external_share: np.ndarray
-    """Of what the arm asks of the gear."""
+    """Share of the torque that the arm puts on the gear."""
     motor_stribeck: np.ndarray
     external_stribeck: np.ndarray
     motor_square: np.ndarray
@@ -70,7 +70,7 @@ class Servos:
 
 
 def identified(joints: int) -> Servos:
-    """As many servos as the published one, with a degree of backlash."""
+    """Servos with the published parameters, one a joint, with a degree of backlash."""
     row = (
         1.2753, 2.7534, GAIN * 0.166 * 1.1617, 0.97, 5.0958,
         0.05331, 4.26e-5, 0.04491, 0.24355, 1.245e-4, 0.14229, 0.007595, 0.003404, 0.37114, 9.931, 0.02816,
@@ -111,12 +111,12 @@ def drawn(joints: int, rng: np.random.Generator) -> Servos:
 
 SUPPLY_V = (7.2, 7.6)
 SUPPLY_OHM = (0.1, 0.25)
-"""Of the supply and its thin cables: the voltage sags by what all servos draw."""
+"""Resistance of the supply and its thin cables: the voltage sags with the current of all servos."""
 
 
 @dataclass(frozen=True)
 class ServoArm:
-    """What nobody knows of it."""
+    """The true arm, its servos and its supply, which no estimator knows."""
 
     tree: _core.Tree
     servos: Servos
@@ -129,7 +129,7 @@ class ServoArm:
 
 PHYSICS_HZ = 2000
 TICKS_HZ = 1000
-"""Of the servos' own loop."""
+"""Rate of the servos' own loop."""
 COMMAND_TICKS = 5
 """From the writing of a goal until a servo follows it (BAM: 5.0 ms)."""
 DRY_SOLVER = ((0.002, 1.0), (0.9999, 0.9999, 0.001, 0.5, 2.0))
@@ -195,9 +195,9 @@ def backlash_model(arm: ServoArm, held: _core.Load | None = None) -> mujoco.MjMo
 
 STEPS_A_TICK = PHYSICS_HZ // TICKS_HZ
 LOAD_FILTER = 0.9
-"""Of the load that friction sees, a physics step: 5 ms."""
+"""Factor a physics step of the low-pass of the load that friction sees: 5 ms."""
 SUPPLY_FILTER = 0.8187
-"""Of the supply current, a tick: 5 ms."""
+"""Factor a tick of the low-pass of the supply current: 5 ms."""
 SPEED_TICKS = 20
 """Ticks over which a servo takes its difference of positions."""
 SPEED_COUNTS = 50.0

@@ -10,6 +10,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from tauext.data.clock import ARM_HZ
+
 # --- Kinds of cells.
 
 
@@ -22,9 +24,6 @@ MISSING = frozenset(
 _EXPONENT = r"(?:[eEdD][-+]?\d+)?"
 NUMBER = {".": rf"[-+]?(?:\d+\.?\d*|\.\d+){_EXPONENT}", ",": rf"[-+]?(?:\d+(?:,\d+)?|,\d+){_EXPONENT}"}
 """Numbers by their decimal mark; Fortran writes the exponent as D."""
-THOUSANDS = {".": r"[-+]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d*)?", ",": r"[-+]?[1-9]\d{0,2}(?:[. ']\d{3})+(?:,\d*)?"}
-"""Numbers with separators between their thousands, by their decimal mark."""
-FLAGS = {"true": 1.0, "false": 0.0}
 STAMP = (
     r"(?:(?P<year>\d{4})[-/.](?P<month>\d{1,2}|[A-Za-z]{3})[-/.](?P<day>\d{1,2})"
     r"|(?P<first>\d{1,2})[-/. ](?P<second>\d{1,2}|[A-Za-z]{3})[-/. ](?P<last>\d{4})|(?P<days>\d+) days?)?"
@@ -32,28 +31,25 @@ STAMP = (
     r" ?(?P<noon>[AaPp][Mm])?(?: ?(?P<zone>Z|UTC|GMT|[-+]\d{2}:?\d{2}))?(?:\[.*\])?"
 )
 """A date with a time of day, a time of day, or a duration."""
-_NUMBER = {mark: re.compile(text) for mark, text in NUMBER.items()}
-_THOUSANDS = {mark: re.compile(text) for mark, text in THOUSANDS.items()}
-_STAMP = re.compile(STAMP)
 BASIC, EXTENDED = r"^(\d{4})(\d{2})(\d{2})[T _](\d{2}):?(\d{2}):?(\d{2})", r"\1-\2-\3T\4:\5:\6"
 """Beginning of a stamp in the basic format of ISO 8601, `20260301T100000`, and what STAMP reads in its place."""
-_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 DAY_NS = 86_400 * 10**9
 
 
 def is_number(cell: str, decimal: str = ".") -> bool:
     """Whether the cell is a finite number with this decimal mark."""
-    return _NUMBER[decimal].fullmatch(cell) is not None
+    return re.fullmatch(NUMBER[decimal], cell) is not None
 
 
 def is_stamp(cell: str) -> bool:
     """Whether the cell has a time of day, with or without a date."""
-    return _STAMP.fullmatch(re.sub(BASIC, EXTENDED, cell)) is not None
+    return re.fullmatch(STAMP, re.sub(BASIC, EXTENDED, cell)) is not None
 
 
 def has_thousands(cell: str, decimal: str) -> bool:
     """Whether the cell is a number with separators between its thousands."""
-    return _THOUSANDS[decimal].fullmatch(cell) is not None
+    marks = {".": r"[-+]?[1-9]\d{0,2}(?:,\d{3})+(?:\.\d*)?", ",": r"[-+]?[1-9]\d{0,2}(?:[. ']\d{3})+(?:,\d*)?"}
+    return re.fullmatch(marks[decimal], cell) is not None
 
 
 def list_cells(cell: str) -> list[str]:
@@ -86,7 +82,7 @@ def kind_of(cells: Sequence[str], decimal: str = ".") -> str:
     for kind, fits in (
         ("number", lambda cell: is_number(cell, decimal)),
         ("stamp", is_stamp),
-        ("flag", lambda cell: cell.lower() in FLAGS),
+        ("flag", lambda cell: cell.lower() in ("true", "false")),
         ("list", lambda cell: bool(list_cells(cell))),
     ):
         if 2 * sum(map(fits, known)) >= len(known):
@@ -111,8 +107,7 @@ def flags_of(column: Any) -> np.ndarray:
     """1 and 0 of a column of true and false, float64; NaN where a cell is neither, or a number."""
     text = pc.utf8_lower(pc.utf8_trim_whitespace(column.cast(pa.string())))
     values = numbers_of(text)
-    for word, value in FLAGS.items():
-        values[np.asarray(pc.fill_null(pc.equal(text, word), False).to_numpy(zero_copy_only=False), bool)] = value
+    values[_equal(text, "true")], values[_equal(text, "false")] = 1.0, 0.0
     return values
 
 
@@ -124,9 +119,7 @@ def lists_of(column: Any, count: int) -> np.ndarray:
         lists = lists.combine_chunks()
     fits = pc.fill_null(pc.equal(pc.list_value_length(lists), count), False)
     values = np.full((len(lists), count), np.nan)
-    values[np.asarray(fits.to_numpy(zero_copy_only=False), bool)] = numbers_of(lists.filter(fits).flatten()).reshape(
-        -1, count
-    )
+    values[_flags(fits)] = numbers_of(lists.filter(fits).flatten()).reshape(-1, count)
     return values
 
 
@@ -146,7 +139,7 @@ class StampReader:
         found = pc.extract_regex(text, f"^(?:{STAMP})$")
         if isinstance(found, pa.ChunkedArray):
             found = found.combine_chunks()
-        known = np.asarray(found.is_valid().to_numpy(zero_copy_only=False), bool)
+        known = _flags(found.is_valid())
         part = {name: found.field(k) for k, name in enumerate(field.name for field in found.type)}
         day, dated, valid = _days(part)
         hours = _whole(part["h"])
@@ -195,12 +188,16 @@ def _days(part: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.where(dated, since, _whole(part["days"])), dated | days, valid
 
 
+def _flags(column: Any) -> np.ndarray:
+    return np.asarray(pc.fill_null(column, False).to_numpy(zero_copy_only=False), bool)
+
+
 def _has(text: Any) -> np.ndarray:
-    return np.asarray(pc.fill_null(pc.not_equal(text, ""), False).to_numpy(zero_copy_only=False), bool)
+    return _flags(pc.not_equal(text, ""))
 
 
 def _equal(text: Any, word: str) -> np.ndarray:
-    return np.asarray(pc.fill_null(pc.equal(text, word), False).to_numpy(zero_copy_only=False), bool)
+    return _flags(pc.equal(text, word))
 
 
 def _whole(text: Any) -> np.ndarray:
@@ -211,8 +208,8 @@ def _whole(text: Any) -> np.ndarray:
 
 def _month(text: Any) -> np.ndarray:
     text = pc.utf8_lower(text)
-    for number, name in enumerate(_MONTHS):
-        text = pc.if_else(pc.equal(text, name), str(number + 1), text)
+    for number, name in enumerate("jan feb mar apr may jun jul aug sep oct nov dec".split(), 1):
+        text = pc.if_else(pc.equal(text, name), str(number), text)
     return _whole(text)
 
 
@@ -232,7 +229,7 @@ def clock_notes(candidates: Mapping[str, int], clock: str) -> list[str]:
 
 
 def unread_times(columns: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Of columns of text, those that may hold times in a form that is not read, and a cell of each.
+    """Columns of text that may hold times in a form that is not read, and a cell of each.
 
     Most of their cells have digits and differ.
     """
@@ -257,27 +254,13 @@ def paired_stamps(names: Sequence[str], columns: np.ndarray) -> np.ndarray | Non
     return None
 
 
-# --- Rates and sample times that a file states beside its rows.
-
-
-_RATES = re.compile(
-    r"(fs|fps|rate|(sample|sampling|update|control|recording|log)_?(rate|freq(uency)?)|frequency)(_?hz)?", re.IGNORECASE
-)
-_PERIODS = re.compile(
-    r"(ts|dt|(sample|sampling|cycle)_?(time|period|interval)|period)(_?(?P<unit>s|sec|ms|us|ns))?", re.IGNORECASE
-)
-_UNITS_S = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-LEAST_HZ, MOST_HZ = 5.0, 20_000.0
-"""Other rates are not those of an arm's samples."""
-
-
 def stated_hz(name: str, value: float) -> float | None:
     """Rate that an entry of this name states, [Hz]; None: the entry is no rate or sample time of an arm's log."""
-    name = re.sub(r"[\s.-]+", "_", name.strip())
-    if _RATES.fullmatch(name):
-        hz = value
-    elif (match := _PERIODS.fullmatch(name)) and value > 0:
-        hz = 1.0 / (value * _UNITS_S[(match["unit"] or "").lower()])
-    else:
+    name = re.sub(r"[\s.-]+", "_", name.strip()).lower()
+    period = re.fullmatch(r"(ts|dt|(sample|sampling|cycle)_?(time|period|interval)|period)(_?(s|sec|ms|us|ns))?", name)
+    rates = r"(fs|fps|rate|(sample|sampling|update|control|recording|log)_?(rate|freq(uency)?)|frequency)(_?hz)?"
+    if period and value > 0:
+        value = 1.0 / (value * {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(period[5], 1.0))
+    elif not re.fullmatch(rates, name):
         return None
-    return hz if LEAST_HZ <= hz <= MOST_HZ else None
+    return value if ARM_HZ[0] <= value <= ARM_HZ[1] else None

@@ -8,6 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -38,24 +39,17 @@ from tauext.errors import RecordingError
 
 GZIP_MAGIC = b"\x1f\x8b"
 UTF16_MAGIC = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-SEPARATORS = (",", ";", "\t", "|", " ")
 BLOCK_BYTES = 1 << 21
 LONGEST_LINE = 1 << 24
 """Largest line, [bytes]: ten thousand signals need a hundredth of it."""
-SAMPLE_LINES, SAMPLE_ROWS = 1000, 200
-"""Lines among which the first row is found, and rows that show the kinds of the columns."""
-DIALECT_LINES = 60
-"""Lines from which separator and decimal mark are found."""
 COMMENT = re.compile(r"\s*(#+|//+|%+(?=[\s%]))\s*")
 """Beginning of a line of comment, or of commented names; `%time` is a name of rostopic."""
-UNIT = re.compile(
+_SEPARATORS = (",", ";", "\t", "|", " ")
+_UNIT = re.compile(
     r"(\W*(rad|deg|°|m|mm|s|sec|seconds?|ms|us|µs|ns|n\W?m|mn\W?m|a|ma|v|mv|hz|%|n|kg|k|°?c|1|unitless|bool|int|double|"
     r"float|string)(\W*/\W*(s|sec|s2|s\^2|min|a)\W?2?)?\W*|\W*)",
     re.IGNORECASE,
 )
-RULE = re.compile(r"[\s\-=+|:*_.#]*")
-NO_ROWS = "it has no rows under its names"
-THOUSANDS_REFUSED = "has separators between thousands, {} '{}'; write numbers without"
 
 
 @dataclass(frozen=True)
@@ -75,6 +69,11 @@ class Dialect:
     header: bytes = b""
     """Line of the names, as logs that are appended to repeat it; empty: none."""
     notes: tuple[str, ...] = ()
+
+    @property
+    def kept(self) -> tuple[str, ...]:
+        """Columns that are read, without the clock."""
+        return self.of_kind("number", "other", "flag", "list")
 
     def cells(self, line: str) -> list[str]:
         """The cells of a line, without quotes and blanks around them."""
@@ -97,9 +96,6 @@ def open_csv(path: Path) -> list[RawRecording]:
     sensor_msgs/JointState, and `position0` becomes `position[NAME]`, `velocity0` and `effort0` too. Columns `sec` and
     `nanosec` are the stamps. `ros2 topic echo --csv` writes these columns without a header; such a file is recognised
     by its first line.
-
-    Raises:
-        RecordingError: on opening or reading: no table, truncated, or thousands separators.
     """
     text = _Text(path)
     lines = text.first()
@@ -112,22 +108,12 @@ def open_csv(path: Path) -> list[RawRecording]:
     notes = [*dialect.notes, *(clock_notes(candidates, clock) if clock else ())]
     if others := dialect.of_kind("text"):
         notes.append(f"columns of text left out: {short_list(others)}")
-    lost = Lost()
-    reader = _Reader(text, dialect, clock, lost)
-    return [
-        RawRecording(
-            path.name.removesuffix(".gz").removesuffix(".csv"),
-            path,
-            "CSV",
-            reader.blocks,
-            notes,
-            lost=lost,
-            clocks=(clock, ""),
-            stated_hz=_stated(lines[: dialect.first_line]),
-            row_word=reader.row_word,
-            unread_times=unread_times({name: [row[dialect.names.index(name)] for row in rows] for name in others}),
-        )
-    ]
+    reader, name = _Reader(text, dialect, clock, Lost()), path.name.removesuffix(".gz").removesuffix(".csv")
+    unread = unread_times({name: [row[dialect.names.index(name)] for row in rows] for name in others})
+    stated, row_word = _stated(lines[: dialect.first_line]), ("line", dialect.first_line + 1)
+    clocks, counts = (clock, ""), Counter[str]()
+    how = (notes, counts, reader.lost, clocks, stated, row_word, unread)
+    return [RawRecording(name, path, "CSV", reader.blocks, *how)]
 
 
 def _stated(preamble: Sequence[str]) -> dict[str, float]:
@@ -183,14 +169,14 @@ class _Text:
         if held:
             yield held
 
-    def first(self) -> list[str]:
-        """Up to SAMPLE_LINES lines from the beginning."""
+    def first(self, most: int = 1000) -> list[str]:
+        """Up to so many lines from the beginning, among which the first row is found."""
         begin = b""
         for chunk in self.chunks():
             begin += chunk
-            if begin.count(b"\n") >= SAMPLE_LINES or len(begin) > LONGEST_LINE:
+            if begin.count(b"\n") >= most or len(begin) > LONGEST_LINE:
                 break
-        return [_decoded(line) for line in begin.split(b"\n", SAMPLE_LINES)[:SAMPLE_LINES]]
+        return [_decoded(line) for line in begin.split(b"\n", most)[:most]]
 
     def middle(self) -> list[str]:
         """Lines from the middle of a large plain file; empty for others."""
@@ -199,7 +185,7 @@ class _Text:
             if size < 1 << 20 or file.read(2) in (GZIP_MAGIC, *UTF16_MAGIC):
                 return []
             file.seek(size // 2)
-            return [_decoded(line) for line in file.read(1 << 16).split(b"\n")[1:-1]][:DIALECT_LINES]
+            return [_decoded(line) for line in file.read(1 << 16).split(b"\n")[1:-1]][:60]
 
 
 def _converter(begin: bytes) -> Callable[[bytes], bytes]:
@@ -244,8 +230,8 @@ def _cells(line: str, separator: str) -> list[str]:
 def _dialect(path: Path, lines: list[str], middle: list[str]) -> tuple[Dialect, list[list[str]]]:
     """The dialect, and the sample's rows."""
     declared = re.fullmatch(r'"?sep=(.)"?', lines[0].strip("\ufeff \r"), re.IGNORECASE)
-    separators = (declared[1],) if declared else SEPARATORS
-    step = max(len(lines) // DIALECT_LINES, 1)
+    separators = (declared[1],) if declared else _SEPARATORS
+    step = max(len(lines) // 60, 1)
     sample = [line for line in [*lines[::step], *lines[:20], *middle] if line.strip()]
     separator, decimal, count, typical = _best(sample, separators)
     if not typical:
@@ -263,13 +249,16 @@ def _dialect(path: Path, lines: list[str], middle: list[str]) -> tuple[Dialect, 
     above = [k for k in range(first) if lines[k].strip() and not (declared and k == 0)]
     if not above and first + 1 < len(lines) and _are_names(row_of(lines[first]), row_of(lines[first + 1])):
         above, first = [first], first + 1
-    rows = [row for line in [*lines[first : first + SAMPLE_ROWS], *middle] if (row := row_of(line))]
+    rows = [row for line in [*lines[first : first + 200], *middle] if (row := row_of(line))]
     if not rows:
         raise RecordingError(f"{path}: {_why_no_table(lines, separator)}")
     dialect = _named(path, replace(dialect, first_line=first), lines, above, rows)
     columns = dict(zip(dialect.names, zip(*rows, strict=True), strict=True))
-    kinds = {name: _kind(path, name, values, dialect) for name, values in columns.items()}
-    dialect = _without_blank(replace(dialect, kinds=tuple(kinds.values())), rows)
+    # Columns without a name and a value are those of a separator at the end of each line.
+    empty = {f"column{k + 1}" for k, values in enumerate(columns.values()) if not any(values)}
+    kinds = (_kind(path, name, values, dialect) for name, values in columns.items())
+    kinds = ("blank" if name in empty else kind for name, kind in zip(columns, kinds, strict=True))
+    dialect = replace(dialect, kinds=tuple(kinds))
     dialect = replace(dialect, wide=tuple((name, _labels(name, columns)) for name in dialect.of_kind("list")))
     if not dialect.of_kind("number", "list", "other"):
         raise RecordingError(f"{path}: {_why_no_table(lines, separator)}")
@@ -295,8 +284,12 @@ def _kind(path: Path, name: str, values: Sequence[str], dialect: Dialect) -> str
     known = [value for value in values if not is_missing(value)]
     odd = next((value for value in known if has_thousands(value, decimal)), "")
     if odd and all(is_number(value, decimal) or has_thousands(value, decimal) for value in known):
-        raise RecordingError(f"{path}: column '{name}' {THOUSANDS_REFUSED.format('such as', odd)}")
+        raise RecordingError(f"{path}: column '{name}' {_thousands('such as', odd)}")
     return "other" if dialect.separator != "," and kind_of(values, other) == "number" else kind
+
+
+def _thousands(where: str, cell: str) -> str:
+    return f"has separators between thousands, {where} '{cell}'; write numbers without"
 
 
 def _labels(name: str, columns: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
@@ -329,9 +322,10 @@ def _best(sample: list[str], separators: Sequence[str]) -> tuple[str, str, int, 
             if not numbers:
                 continue
             count = max(numbers, key=lambda n: (sum(numbers[n]), n))
+            commas = [cell for row in rows if len(row) == count for cell in row if "," in cell]
+            if decimal == "," and commas and all(has_thousands(cell, ".") for cell in commas):
+                continue  # all are groups of three digits
             total, lines = sum(numbers[count]), len(numbers[count])
-            if decimal == "," and not _surely_decimal(row for row in rows if len(row) == count):
-                continue
             if (total, total / (lines * count)) > best:
                 best = total, total / (lines * count)
                 choice = separator, decimal, count, float(np.median(numbers[count]))
@@ -340,18 +334,13 @@ def _best(sample: list[str], separators: Sequence[str]) -> tuple[str, str, int, 
     return choice
 
 
-def _surely_decimal(rows: Any) -> bool:
-    """Whether a comma in these cells is a decimal mark: some are no groups of three digits."""
-    commas = [cell for row in rows for cell in row if "," in cell]
-    return not commas or not all(has_thousands(cell, ".") for cell in commas)
-
-
 def _first_row(lines: list[str], row_of: Callable[[str], list[str]]) -> int:
     """Index of the first row that another row follows, with nothing but blank lines between."""
-    at = [k for k, line in enumerate(lines) if line.strip()]
-    rows = ((k, bool(row_of(lines[k]))) for k in at)
     before, single = -1, -1
-    for k, is_row in rows:
+    for k, line in enumerate(lines):
+        if not line.strip():
+            continue
+        is_row = bool(row_of(line))
         if is_row and before >= 0:
             return before
         before = k if is_row else -1
@@ -361,16 +350,16 @@ def _first_row(lines: list[str], row_of: Callable[[str], list[str]]) -> int:
 
 def _named(path: Path, dialect: Dialect, lines: list[str], above: list[int], rows: list[list[str]]) -> Dialect:
     """The dialect with the names of its columns, from the nearest line above the rows that fits."""
-    count, notes = len(rows[0]), []
+    count, notes, rule = len(rows[0]), [], re.compile(r"[\s\-=+|:*_.#]*")
     trailing = all(not row[-1] for row in rows)
     fitting: list[tuple[int, list[str]]] = []
     for k in reversed(above):
         cells = _header_cells(lines[k], dialect.separator, rows)
-        if cells and not RULE.fullmatch(lines[k]):
+        if cells and not rule.fullmatch(lines[k]):
             fitting.append((k, cells))
-            if not all(UNIT.fullmatch(cell) or is_missing(cell) for cell in cells):
+            if not all(_UNIT.fullmatch(cell) or is_missing(cell) for cell in cells):
                 break
-        elif not fitting and not COMMENT.match(lines[k]) and not RULE.fullmatch(lines[k]):
+        elif not fitting and not COMMENT.match(lines[k]) and not rule.fullmatch(lines[k]):
             _expect_title(path, dialect, lines, k, count)
     names = fitting[-1][1] if fitting else list(_echoed_names(tuple(rows[0])))
     if not names:
@@ -383,8 +372,7 @@ def _named(path: Path, dialect: Dialect, lines: list[str], above: list[int], row
     for name, times in Counter(names).items():
         if times > 1:
             notes.append(f"{times} columns are named '{name}': they are {name}[0] to {name}[{times - 1}]")
-            places = [k for k, one in enumerate(names) if one == name]
-            for number, k in enumerate(places):
+            for number, k in enumerate([k for k, one in enumerate(names) if one == name]):
                 names[k] = f"{name}[{number}]"
     return replace(dialect, names=tuple(names), header=header, notes=tuple(filter(None, notes)))
 
@@ -393,7 +381,7 @@ def _header_cells(line: str, separator: str, rows: list[list[str]]) -> list[str]
     """Names in a line, one a cell of a row, or one less; empty where the line does not fit."""
     count = len(rows[0])
     text = COMMENT.sub("", line, count=1) if COMMENT.match(line) else line.strip("\ufeff")
-    splits = [_cells(text if one == "\t" else text.strip(), one) for one in SEPARATORS]
+    splits = [_cells(text if one == "\t" else text.strip(), one) for one in _SEPARATORS]
     splits.append(re.split(r"\s{2,}", text.strip()))
     splits.append(re.split(r"\s+(?![\[(])", text.strip()))  # units in brackets belong to the name before
     for cells in (_cells(text if separator == "\t" else text.strip(), separator), *splits):
@@ -408,7 +396,7 @@ def _header_cells(line: str, separator: str, rows: list[list[str]]) -> list[str]
 
 def _is_index(rows: list[list[str]]) -> bool:
     """Whether the first column may lack a name: it counts the rows, or has dates."""
-    cells = [row[0] for row in rows[:DIALECT_LINES]]
+    cells = [row[0] for row in rows[:60]]
     if all(cell.isdigit() for cell in cells):
         return all(int(b) - int(a) == 1 for a, b in zip(cells, cells[1:], strict=False))
     return all(is_stamp(cell) or is_stamp(f"{cell} 00:00:00") for cell in cells)
@@ -416,7 +404,7 @@ def _is_index(rows: list[list[str]]) -> bool:
 
 def _expect_title(path: Path, dialect: Dialect, lines: list[str], k: int, count: int) -> None:
     """Refuse a line above the rows that has names, but not one for every cell."""
-    by_separator = {s: _cells(lines[k].strip(), s) for s in SEPARATORS if s != " " or dialect.separator == " "}
+    by_separator = {s: _cells(lines[k].strip(), s) for s in _SEPARATORS if s != " " or dialect.separator == " "}
     separator = max(by_separator, key=lambda s: len(by_separator[s]))
     cells = by_separator[separator]
     prose = separator == " " and len(cells) < count - 2
@@ -427,13 +415,6 @@ def _expect_title(path: Path, dialect: Dialect, lines: list[str], k: int, count:
         f"{path}: line {k + 1} has {len(cells)} names between {separator!r}, line {dialect.first_line + 1} has "
         f"{count} cells between {dialect.separator!r}: {row!r}; use one separator, and a name for every column"
     )
-
-
-def _without_blank(dialect: Dialect, rows: list[list[str]]) -> Dialect:
-    """Columns without a name and without a value are those of a separator at the end of each line."""
-    empty = {f"column{k + 1}" for k, values in enumerate(zip(*rows, strict=True)) if not any(values)}
-    kinds = tuple("blank" if name in empty else kind for name, kind in zip(dialect.names, dialect.kinds, strict=True))
-    return replace(dialect, kinds=kinds)
 
 
 def _echoed_names(cells: tuple[str, ...]) -> tuple[str, ...]:
@@ -468,16 +449,11 @@ def _why_no_table(lines: list[str], separator: str) -> str:
     filled = [line.strip() for line in lines if line.strip()]
     shown = f"its first line is {filled[0][:60]!r}" if filled else "it is blank"
     if len(filled) == 1 and separator in filled[0]:
-        return f"{NO_ROWS}; {shown}"
+        return f"it has no rows under its names; {shown}"
     return f"no table of numbers; {shown}"
 
 
 # --- Rows: by Arrow, a block of lines at a time; a block with odd lines or cells is read more carefully.
-
-
-_MISSING_WORDS = ["", "nan", "NaN", "None", "null", "NA"]
-"""Missing values that Arrow recognises; a block with others is read cell by cell."""
-WRONG_CELLS = "a wrong number of cells"
 
 
 @dataclass
@@ -486,16 +462,6 @@ class _Reader:
     dialect: Dialect
     clock: str
     lost: Lost
-
-    @property
-    def kept(self) -> tuple[str, ...]:
-        """Columns that are read, without the clock."""
-        return self.dialect.of_kind("number", "other", "flag", "list")
-
-    @property
-    def row_word(self) -> tuple[str, int]:
-        """Rows are counted as lines of the file."""
-        return "line", self.dialect.first_line + 1
 
     def blocks(self) -> Iterator[RawSignals]:
         """Yield the rows block by block; another thread reads one block ahead."""
@@ -511,7 +477,7 @@ class _Reader:
                 if len(signals.columns):
                     yield signals
         if not rows:
-            raise RecordingError(f"{self.text.path}: {NO_ROWS}")
+            raise RecordingError(f"{self.text.path}: it has no rows under its names")
 
     def _blocks(self) -> Iterator[tuple[RawSignals, Lost]]:
         skip, line, stamps, whole = self.dialect.first_line, 0, StampReader(), True
@@ -522,36 +488,36 @@ class _Reader:
                 continue
             count, lost = chunk.count(b"\n") + (not chunk.endswith(b"\n")), Lost()
             table, at = self._table(chunk, count, line, lost)
-            place = np.arange(line, line + count) if at is None else at + line
+            rows = np.arange(line, line + count) if at is None else at + line
             line += count
-            signals = self._signals(table, place, stamps, lost)
+            signals = self._signals(table, rows, stamps, lost)
             whole &= at is None and len(signals.columns) == count
             yield (replace(signals, rows=None) if whole else signals), lost
 
-    def _signals(self, table: Any, place: np.ndarray, stamps: StampReader, lost: Lost) -> RawSignals:
+    def _signals(self, table: Any, rows: np.ndarray, stamps: StampReader, lost: Lost) -> RawSignals:
         wide = dict(self.dialect.wide)
-        names = tuple(one for name in self.kept for one in _elements(name, wide.get(name)))
-        columns, k = np.empty((len(place), len(names)), order="F"), 0
-        if not len(place):
-            return RawSignals("", names, None, columns, rows=place)
-        for name in self.kept:
+        elements = {name: [f"{name}[{label}]" for label in labels] for name, labels in wide.items()}
+        names = tuple(one for name in self.dialect.kept for one in elements.get(name, [name]))
+        columns, k = np.empty((len(rows), len(names)), order="F"), 0
+        if not len(rows):
+            return RawSignals("", names, None, columns, rows=rows)
+        for name in self.dialect.kept:
             count = len(wide.get(name, "1"))
-            columns[:, k : k + count] = self._values(name, table.column(name), place, count)
+            columns[:, k : k + count] = self._values(name, table.column(name), rows, count)
             k += count
         t_ns = paired_stamps(names, columns)
         if self.clock:
             t_ns, known = stamps.stamps(table.column(self.clock))
             if not known.all():
-                first = self._place(int(place[np.argmin(known)]))
+                first = self._line(int(rows[np.argmin(known)]))
                 lost.add(f"'{self.clock}', its time, is missing", int((~known).sum()), first)
-                t_ns, columns, place = t_ns[known], columns[known], place[known]
-        return RawSignals("", names, t_ns, columns, rows=place)
+                t_ns, columns, rows = t_ns[known], columns[known], rows[known]
+        return RawSignals("", names, t_ns, columns, rows=rows)
 
-    def _place(self, row: int) -> str:
-        word, first = self.row_word
-        return f"{word} {row + first}"
+    def _line(self, row: int) -> str:
+        return f"line {row + self.dialect.first_line + 1}"
 
-    def _values(self, name: str, column: Any, place: np.ndarray, count: int) -> np.ndarray:
+    def _values(self, name: str, column: Any, rows: np.ndarray, count: int) -> np.ndarray:
         """Numbers of a column (rows, count), as Arrow converted them or cell by cell."""
         if pa.types.is_floating(column.type):
             return np.asarray(column.to_numpy(), dtype=np.float64)[:, None]
@@ -566,23 +532,19 @@ class _Reader:
         for k in np.flatnonzero(np.isnan(values)):
             cell = str(column[int(k)].as_py() or "").strip()
             if has_thousands(cell, self.dialect.decimal):
-                at = f"in {self._place(int(place[k]))}:"
-                raise RecordingError(f"{self.text.path}: column '{name}' {THOUSANDS_REFUSED.format(at, cell)}")
+                at = f"in {self._line(int(rows[k]))}:"
+                raise RecordingError(f"{self.text.path}: column '{name}' {_thousands(at, cell)}")
         return values[:, None]
 
     def _table(self, chunk: bytes, count: int, line: int, lost: Lost) -> tuple[Any, np.ndarray | None]:
         """The columns of a block of lines, and the indices of its rows among the lines; None: all are."""
         if self.dialect.separator == " ":
             chunk = _single_blanks(chunk)
-        at: np.ndarray | None = None
-        header = self.dialect.header
-        if not (header and header in chunk):
-            try:
+        if not (self.dialect.header and self.dialect.header in chunk):
+            with suppress(pa.ArrowException):  # a line or a cell is odd
                 table = self._parsed(chunk, pa.float64())
                 if table.num_rows == count:
                     return table, None
-            except pa.ArrowException:
-                pass  # a line or a cell is odd
         chunk, at = self._good_lines(chunk, line, lost)
         if not len(at):
             return None, at
@@ -592,7 +554,7 @@ class _Reader:
             try:
                 table = self._parsed(chunk.decode("utf-8", "replace").encode(), pa.string())
             except pa.ArrowException as error:
-                begin, end = (self._place(line + int(k)) for k in (at[0], at[-1]))
+                begin, end = (self._line(line + int(k)) for k in (at[0], at[-1]))
                 raise RecordingError(
                     f"{self.text.path}: {begin} to {end}: cannot be split into {len(self.dialect.names)} cells between "
                     f"{self.dialect.separator!r}; write one separator, and quotes in pairs"
@@ -602,7 +564,7 @@ class _Reader:
     def _parsed(self, chunk: bytes, numbers: pa.DataType) -> Any:
         from pyarrow import csv as arrow_csv
 
-        wanted = [*self.kept, *([self.clock] if self.clock else [])]
+        wanted = [*self.dialect.kept, *([self.clock] if self.clock else [])]
         text = {*self.dialect.of_kind("other", "flag", "list"), self.clock}
         types = {name: pa.string() if name in text else numbers for name in wanted}
         return arrow_csv.read_csv(
@@ -613,7 +575,7 @@ class _Reader:
                 column_types=types,
                 include_columns=wanted,
                 decimal_point=self.dialect.decimal,
-                null_values=_MISSING_WORDS,
+                null_values=["", "nan", "NaN", "None", "null", "NA"],  # a block with others is read cell by cell
                 strings_can_be_null=True,
             ),
         )
@@ -621,8 +583,7 @@ class _Reader:
     def _good_lines(self, chunk: bytes, line: int, lost: Lost) -> tuple[bytes, np.ndarray]:
         """The block without lines that are no rows, and the indices of those that are; broken ones are counted."""
         separator, count = self.dialect.separator.encode(), len(self.dialect.names)
-        good, at, header = [], [], self.dialect.header
-        broken: list[int] = []
+        good, at, broken, header = [], [], list[int](), self.dialect.header
         for k, text in enumerate(chunk.split(b"\n")):
             text = text.strip(b"\r")
             bare = text.strip()
@@ -633,7 +594,7 @@ class _Reader:
             else:
                 cells = text.count(separator) + 1
                 surplus = text.split(separator)[count - 1 :] if cells > count else []
-                if self.dialect.kinds[-1] == "text" and surplus and not any(map(_has_digit, surplus)):
+                if self.dialect.kinds[-1] == "text" and surplus and not re.search(rb"\d", b"".join(surplus)):
                     cells, text = count, separator.join(text.split(separator)[:count])  # the text has the separator too
             if cells == count and b"\0" not in text:
                 good.append(text)
@@ -641,12 +602,8 @@ class _Reader:
             else:
                 broken.append(k)
         if broken:
-            lost.add(WRONG_CELLS, len(broken), self._place(line + broken[0]))
+            lost.add("a wrong number of cells", len(broken), self._line(line + broken[0]))
         return b"\n".join(good) + b"\n", np.array(at, dtype=np.int64)
-
-
-def _has_digit(cell: bytes) -> bool:
-    return any(48 <= byte <= 57 for byte in cell)
 
 
 def _single_blanks(chunk: bytes) -> bytes:
@@ -655,7 +612,3 @@ def _single_blanks(chunk: bytes) -> bytes:
     while b"  " in chunk:
         chunk = chunk.replace(b"  ", b" ")
     return chunk.removeprefix(b" ").replace(b"\n ", b"\n").replace(b" \r", b"\r").replace(b" \n", b"\n").rstrip(b" ")
-
-
-def _elements(name: str, labels: tuple[str, ...] | None) -> list[str]:
-    return [name] if labels is None else [f"{name}[{label}]" for label in labels]

@@ -6,8 +6,8 @@ import math
 import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from tauext.data.importers.cells import USUAL_CLOCK, paired_stamps, stated_hz
-from tauext.data.importers.damaged import whole
-from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list
+from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list, whole
 from tauext.errors import RecordingError
 from tauext.files.preflight import in_words
 
@@ -92,13 +91,10 @@ def sample_axis(shape: tuple[int, ...], samples: int) -> int | None:
 
 
 def sample_count(path: Path, arrays: Sequence[Array]) -> int:
-    """Number of samples: the length of a clock, else the most common length, weighted by the count of numbers.
-
-    Raises:
-        RecordingError: no array looks like a signal, or the axis of samples is not clear.
-    """
+    """Number of samples: the length of a clock, else the most common length, weighted by the count of numbers."""
     signals = [one for one in arrays if _is_signal(one.shape)]
-    clocks = {one.shape[0] for one in signals if len(one.shape) == 1 and CLOCK.fullmatch(one.path[-1])}
+    is_clock = re.compile(rf"t|tout|{USUAL_CLOCK.pattern}", re.IGNORECASE)
+    clocks = {one.shape[0] for one in signals if len(one.shape) == 1 and is_clock.fullmatch(one.path[-1])}
     votes: Counter[int] = Counter()
     for one in signals:
         votes[max(one.shape)] += int(np.prod(one.shape)) // max(one.shape)
@@ -120,13 +116,8 @@ def sample_count(path: Path, arrays: Sequence[Array]) -> int:
     return samples
 
 
-CLOCK = re.compile(rf"t|tout|{USUAL_CLOCK.pattern}", re.IGNORECASE)
-
-
 def _is_signal(shape: tuple[int, ...]) -> bool:
-    if not shape or 0 in shape:
-        return False
-    return int(np.prod(shape)) // max(shape) <= MOST_WIDE
+    return bool(shape) and 0 not in shape and int(np.prod(shape)) // max(shape) <= MOST_WIDE
 
 
 def _by(shape: Sequence[int]) -> str:
@@ -142,13 +133,6 @@ def _no_signals(arrays: Sequence[Array]) -> str:
 
 
 # --- Runs: groups with the same arrays, each of its own length.
-
-
-RUNS = re.compile(
-    r"(demo|run|episode|ep|traj|trajectory|trial|test|rec|recording|session|exp|experiment|rollout|sequence|seq|motion)",
-    re.IGNORECASE,
-)
-PARTS = re.compile(r"(joint|j|axis|a|motor|actuator|servo|link|arm|robot|sensor|signals?)", re.IGNORECASE)
 
 
 def runs_of(path: Path, arrays: Sequence[Array]) -> list[tuple[tuple[str, ...], list[Array]]]:
@@ -174,17 +158,17 @@ def runs_of(path: Path, arrays: Sequence[Array]) -> list[tuple[tuple[str, ...], 
 
 
 def _are_runs(path: Path, stem: str, depth: int, groups: Mapping[str, Sequence[Array]]) -> bool:
-    if RUNS.fullmatch(stem) and any(_is_signal(one.shape) for held in groups.values() for one in held):
+    runs = "demo|run|episode|ep|traj(ectory)?|trial|test|rec(ording)?|session|exp(eriment)?|rollout|seq(uence)?|motion"
+    parts = "joint|j|axis|a|motor|actuator|servo|link|arm|robot|sensor|signals?"
+    if re.fullmatch(runs, stem.lower()) and any(_is_signal(one.shape) for held in groups.values() for one in held):
         return True
-    if len(groups) < 2 or PARTS.fullmatch(stem):
+    if len(groups) < 2 or re.fullmatch(parts, stem.lower()):
         return False
     names = [{one.path[depth:] for one in held} for held in groups.values()]
-    lengths = set()
-    for held in groups.values():
-        try:
-            lengths.add(sample_count(path, held))
-        except RecordingError:
-            return False
+    try:
+        lengths = {sample_count(path, held) for held in groups.values()}
+    except RecordingError:
+        return False
     return all(one == names[0] for one in names) and len(lengths) > 1
 
 
@@ -215,25 +199,23 @@ def recordings(path: Path, kind: str, separator: str, content: Content, opened: 
             samples = sample_count(Path(where), arrays)
         except RecordingError as error:
             if len(runs) == 1:
-                remedy = ""
-                if content.objects:
-                    remedy = f". MATLAB objects cannot be read: {short_list(content.objects)}; save their numbers as "
-                    remedy += "plain arrays (t = x.Time; q = x.Data; or table2struct(x, 'ToScalar', true))"
-                raise RecordingError(f"{error}{remedy}") from None
+                remedy = (
+                    f". MATLAB objects cannot be read: {short_list(content.objects)}; save their numbers as plain "
+                    "arrays (t = x.Time; q = x.Data; or table2struct(x, 'ToScalar', true))"
+                )
+                raise RecordingError(f"{error}{remedy if content.objects else ''}") from None
             refused.append(str(error).removeprefix(f"{path}: "))
             continue
         names = {one.path: separator.join(one.path[len(group) :]) for one in arrays}
         columns = {one.path: one.columns(names[one.path], samples) for one in arrays}
-        notes = _left_out(names, columns, arrays, samples, content.objects)
+        others = {names[one.path]: one.shape for one in arrays if not columns[one.path] and one.shape}
+        notes = _left_out(others, samples, content.objects)
         stem = f"{path.stem}-{'-'.join(group[-1:])}" if group else path.stem
         used = [one for one in arrays if columns[one.path]]
         blocks = partial(_blocks, path, kind, used, [c for one in used for c in columns[one.path]], samples, opened)
-        places = {one.path[:depth] for one in used for depth in range(len(one.path) + 1)}
-        stated = {
-            separator.join(entry): hz
-            for entry, value in content.scalars.items()
-            if entry[:-1] in places and (hz := stated_hz(entry[-1], value))
-        }
+        above = {one.path[:depth] for one in used for depth in range(len(one.path) + 1)}
+        rates = {entry: stated_hz(entry[-1], value) for entry, value in content.scalars.items() if entry[:-1] in above}
+        stated = {separator.join(entry): hz for entry, hz in rates.items() if hz}
         found.append(RawRecording(stem, path, kind, blocks, notes, stated_hz=stated))
     if not found:
         raise RecordingError(f"{path}: {refused[0] if refused else _no_signals(content.arrays)}")
@@ -245,21 +227,18 @@ def recordings(path: Path, kind: str, separator: str, content: Content, opened: 
     return found
 
 
-def _left_out(
-    names: Mapping[tuple[str, ...], str],
-    columns: Mapping[tuple[str, ...], tuple[str, ...]],
-    arrays: Iterable[Array],
-    samples: int,
-    objects: Sequence[str],
-) -> list[str]:
-    others = [one for one in arrays if not columns[one.path] and one.shape]
-    square = [f"{names[one.path]} {_by(one.shape)}" for one in others if one.shape.count(samples) > 1]
-    wide = [f"{names[one.path]} {_by(one.shape)}" for one in others if one.shape.count(samples) == 1]
-    rest = [f"{names[one.path]} ({max(one.shape)})" for one in others if samples not in one.shape]
+def _left_out(others: Mapping[str, tuple[int, ...]], samples: int, objects: Sequence[str]) -> list[str]:
+    """Notes on the arrays that are no signals, of which `others` has the shapes."""
     reasons = {
-        f"arrays of another length than {samples} left out": rest,
-        "square arrays left out, since the axis of samples is not clear": square,
-        f"arrays of more than {MOST_WIDE} numbers a sample left out": wide,
+        f"arrays of another length than {samples} left out": [
+            f"{name} ({max(shape)})" for name, shape in others.items() if samples not in shape
+        ],
+        "square arrays left out, since the axis of samples is not clear": [
+            f"{name} {_by(shape)}" for name, shape in others.items() if shape.count(samples) > 1
+        ],
+        f"arrays of more than {MOST_WIDE} numbers a sample left out": [
+            f"{name} {_by(shape)}" for name, shape in others.items() if shape.count(samples) == 1
+        ],
         "MATLAB objects left out": objects,
     }
     return [f"{reason}: {short_list(listed)}" for reason, listed in reasons.items() if listed]
@@ -302,9 +281,6 @@ def open_hdf5(path: Path, separator: str = "/", kind: str = "HDF5") -> list[RawR
     lengths of their own, such as `demo_0`, are recordings of their own. Elements have the names of a list
     `joint_names` beside them. Datasets of other lengths are left out and listed in the notes; scalars and attributes
     such as `rate_hz` are stated rates.
-
-    Raises:
-        RecordingError: on opening or reading: damaged, or without signals.
     """
 
     @contextmanager
@@ -313,7 +289,7 @@ def open_hdf5(path: Path, separator: str = "/", kind: str = "HDF5") -> list[RawR
             yield partial(_dataset, file)
 
     with whole(path, kind, BROKEN), _open(path) as file:
-        content = _hdf5_content(file, kind != "HDF5")
+        content = _Walk(file, kind != "HDF5").content
         for one in content.arrays:
             _expect_readable(path, file[one.held[0]])
     return recordings(path, kind, separator, content, opened)
@@ -397,28 +373,20 @@ def _expect_readable(path: Path, dataset: Any) -> None:
             )
 
 
-def _hdf5_content(file: Any, matlab: bool) -> Content:
-    walk = _Walk(file, matlab)
-    if not matlab:
-        walk.attributes((), file)
-    file.visititems(walk.visit)
-    return walk.content
-
-
 class _Walk:
     """Collects the content of a file, one item after the other."""
 
     def __init__(self, file: Any, matlab: bool) -> None:
         self.file, self.matlab = file, matlab
-        self.content = Content()
-        self.frames: set[str] = set()
+        self.content, self.frames = Content(), set[str]()
+        if not matlab:
+            self.attributes((), file)
+        file.visititems(self.visit)
 
     def number(self, path: tuple[str, ...], value: Any) -> None:
         if isinstance(value, int | float | np.number) or (isinstance(value, np.ndarray) and value.size == 1):
-            try:
+            with suppress(TypeError, ValueError):  # a text
                 self.content.scalars[path] = float(np.ravel(value)[0])
-            except (TypeError, ValueError):
-                pass  # a text
 
     def attributes(self, path: tuple[str, ...], item: Any) -> None:
         for name in item.attrs:
@@ -465,23 +433,16 @@ class _Walk:
                 self.references(path, item, kind == "cell")
         elif item.dtype.names:
             for name in item.dtype.names:
-                sub = item.dtype[name]
+                sub, field_path = item.dtype[name], (*path[:-1], f"{path[-1]}.{name}")
                 if sub.base.kind in "fiub":
-                    self.content.add(
-                        (*path[:-1], f"{path[-1]}.{name}"), (*item.shape, *sub.shape), (item.name, f".{name}")
-                    )
+                    self.content.add(field_path, (*item.shape, *sub.shape), (item.name, f".{name}"))
         elif item.dtype.kind in "fiub" and kind != "char":
             if item.size == 1:
                 self.number(path, item[()])
             self.content.add(path, item.shape, (item.name,))
-        elif (
-            item.dtype.kind in "SO"
-            and item.ndim == 1
-            and item.size <= MOST_WIDE
-            and item.nbytes <= MOST_WORDS
-            and JOINT_NAMES.fullmatch(path[-1])
-        ):
-            self.content.words[path] = tuple(_word(one) for one in item[()])
+        elif item.dtype.kind in "SO" and item.ndim == 1 and JOINT_NAMES.fullmatch(path[-1]):
+            if item.size <= MOST_WIDE and item.nbytes <= MOST_WORDS:
+                self.content.words[path] = tuple(_word(one) for one in item[()])
 
     def references(self, path: tuple[str, ...], item: Any, cell: bool) -> None:
         """Cells, and the fields of arrays of structs."""
@@ -514,7 +475,7 @@ def _word(value: Any) -> str:
 # --- MATLAB files: version 5 to 7 by SciPy, version 7.3 as HDF5.
 
 
-MAGIC_5, MAGIC_73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
+MATLAB_MAGICS = (b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file")
 
 
 def open_matlab(path: Path) -> list[RawRecording]:
@@ -522,12 +483,9 @@ def open_matlab(path: Path) -> list[RawRecording]:
 
     Arrays of structs and cells whose elements have lengths of their own are recordings of their own. For all else see
     open_hdf5().
-
-    Raises:
-        RecordingError: damaged, or without signals; MATLAB objects (timeseries, table) cannot be read.
     """
     with path.open("rb") as file:
-        if file.read(len(MAGIC_73)) == MAGIC_73:
+        if file.read(len(MATLAB_MAGICS[1])) == MATLAB_MAGICS[1]:
             return open_hdf5(path, ".", "MATLAB 7.3")
     from scipy.io import loadmat
 

@@ -27,11 +27,8 @@ RECORD = struct.Struct("<BQ")
 """Operation and length of a record."""
 MESSAGE_HEAD = struct.Struct("<HIQQ")
 """Channel, sequence number, log time, publish time."""
-FOOTER_BYTES = 37
-"""Of the footer record and the magic after it."""
 MOST_WAITING = 4_000_000
 """Messages of chunks that overlap in time: an hour of a thousand a second."""
-CODECS = {"zstd": "zstd", "lz4": "lz4"}
 
 
 class McapFile:
@@ -58,7 +55,7 @@ class McapFile:
         self._channels: dict[int, tuple[int, str, str]] = {}
         self._counts: Counter[int] = Counter()
         self._chunks: list[tuple[int, int, frozenset[int]]] = []
-        """First log time, place of the record's content, and channels; empty: unknown."""
+        """First log time, position of the record's content, and channels; empty: unknown."""
         with suppress(struct.error, UnicodeDecodeError):
             self._profile = _text(self._data, len(MAGIC) + RECORD.size)[0]
 
@@ -72,10 +69,11 @@ class McapFile:
     def _read_summary(self) -> bool:
         """Whether the summary at the end is there and complete."""
         data, end = self._data, len(self._data) - len(MAGIC)
-        if len(data) < FOOTER_BYTES or data[end:] != MAGIC:
+        footer = end - RECORD.size - 20
+        if footer < 0 or data[end:] != MAGIC:
             return False
-        operation, length = RECORD.unpack_from(data, len(data) - FOOTER_BYTES)
-        (start,) = struct.unpack_from("<Q", data, len(data) - FOOTER_BYTES + RECORD.size)
+        operation, length = RECORD.unpack_from(data, footer)
+        (start,) = struct.unpack_from("<Q", data, footer + RECORD.size)
         if (operation, length) != (FOOTER, 20) or not start:
             return False
         messages, there = None, set[int]()
@@ -201,16 +199,15 @@ class McapFile:
             return b""
         packed = self._data[at : at + length]
         whole = len(packed) == length
-        if compression and compression not in CODECS:
+        if compression and compression not in ("zstd", "lz4"):
             self._note(f"a part compressed by '{compression}' is left out: only zstd and lz4 are read")
             return b""
-        if not compression:
-            records = packed
-        elif not whole:
+        records = packed
+        if compression and not whole:
             records = decompressed(packed, compression)[0]
-        else:
+        elif compression:
             try:
-                records = pa.decompress(packed, size, CODECS[compression], asbytes=True)
+                records = pa.decompress(packed, size, compression, asbytes=True)
             except (OSError, ValueError, MemoryError, OverflowError):
                 records = b""
         if whole and (len(records) != size or (crc and crc32(records) != crc)):
@@ -230,15 +227,12 @@ def _records(data: bytes | mmap.mmap, at: int, end: int) -> Iterator[tuple[int, 
 
 def _taken(chunk: bytes, channels: dict[int, Channel]) -> list[tuple[int, Channel, bytes]]:
     """Log time, channel and bytes of a chunk's messages on these channels."""
-    taken, at, end = [], 0, len(chunk)
-    while at + RECORD.size <= end:
-        operation, length = RECORD.unpack_from(chunk, at)
-        begin = at + RECORD.size
-        at = begin + length
-        if operation == MESSAGE and begin + MESSAGE_HEAD.size <= at <= end:
+    taken = []
+    for operation, begin, end in _records(chunk, 0, len(chunk)):
+        if operation == MESSAGE and begin + MESSAGE_HEAD.size <= end <= len(chunk):
             number, _, log_ns, _ = MESSAGE_HEAD.unpack_from(chunk, begin)
             if number in channels:
-                taken.append((log_ns, channels[number], chunk[begin + 22 : at]))
+                taken.append((log_ns, channels[number], chunk[begin + MESSAGE_HEAD.size : end]))
     return taken
 
 

@@ -7,13 +7,14 @@ from pathlib import Path
 
 from tauext import plugins
 from tauext.data.importers import csv_table, hdf5, parquet, ros
+from tauext.data.importers.bag import ZSTD_MAGIC
 from tauext.data.importers.raw import BEGIN, Export, Importer, RawRecording
 from tauext.errors import ConfigError, RecordingError
 from tauext.files.plain_file import expect_file
 
 
 def fits_ros(path: Path, begin: bytes) -> bool:
-    return path.is_dir() or begin.startswith(ros.MAGICS)
+    return path.is_dir() or begin.startswith((*ros.KINDS, ZSTD_MAGIC))
 
 
 def fits_csv(path: Path, begin: bytes) -> bool:
@@ -28,11 +29,9 @@ def begins(*magics: bytes) -> Callable[[Path, bytes], bool]:
 IMPORTERS: dict[str, Importer] = {
     "ros": Importer("ROS 1 bag, ROS 2 bag (sqlite3, MCAP, or their folder)", fits_ros, ros.open_bag),
     "parquet": Importer(
-        "Parquet, Arrow",
-        begins(parquet.MAGIC, parquet.ARROW_MAGIC),
-        lambda path, _: parquet.open_parquet(path),
+        "Parquet, Arrow", begins(parquet.MAGIC, parquet.ARROW_MAGIC), lambda path, _: parquet.open_parquet(path)
     ),
-    "matlab": Importer("MATLAB", begins(hdf5.MAGIC_5, hdf5.MAGIC_73), lambda path, _: hdf5.open_matlab(path)),
+    "matlab": Importer("MATLAB", begins(*hdf5.MATLAB_MAGICS), lambda path, _: hdf5.open_matlab(path)),
     "hdf5": Importer("HDF5", begins(hdf5.MAGIC), lambda path, _: hdf5.open_hdf5(path)),
     "csv": Importer("CSV (also gzipped)", fits_csv, lambda path, _: csv_table.open_csv(path)),
 }
@@ -40,7 +39,7 @@ IMPORTERS: dict[str, Importer] = {
 
 
 def importers() -> dict[str, Importer]:
-    """Those of packages, which may know a narrower format than Parquet or CSV, then those of this package."""
+    """Importers of packages, which may know a narrower format than Parquet or CSV, then those of this package."""
     return plugins.every(plugins.IMPORTERS, Importer, IMPORTERS) | IMPORTERS
 
 
@@ -83,11 +82,7 @@ def beginning(path: Path) -> bytes:
 
 
 def exporting(name: str) -> Export:
-    """The function that writes datasets of the format of this importer.
-
-    Raises:
-        ConfigError: no package adds it, it is not installed, or it only reads.
-    """
+    """The function that writes datasets of the format of this importer."""
     importer = plugins.named(name, IMPORTERS, plugins.IMPORTERS, Importer)
     if importer is None and (how := plugins.how_to_add(name)):
         raise ConfigError(f"format = {name}: {how}")

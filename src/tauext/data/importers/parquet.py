@@ -22,14 +22,11 @@ from tauext.data.importers.cells import (
     numbers_of,
     paired_stamps,
 )
-from tauext.data.importers.damaged import whole
-from tauext.data.importers.raw import BLOCK_ROWS, Lost, RawRecording, RawSignals, short_list
+from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list, whole
 from tauext.errors import RecordingError
 
 MAGIC, ARROW_MAGIC = b"PAR1", b"ARROW1"
 BROKEN = (pa.ArrowException, OSError)
-MOST_ELEMENTS = 1000
-"""Longer lists are images or point clouds."""
 UNIT_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 
 
@@ -38,9 +35,6 @@ def open_parquet(path: Path) -> list[RawRecording]:
 
     Elements of a list are `name[0]`, `name[1]`, ..., also of lists of lists; a list of another length than the others
     is missing. Fields of a struct are `name.field`. A column of timestamps, times of day or their text is the clock.
-
-    Raises:
-        RecordingError: on opening or reading: damaged, without rows or without numbers.
     """
     table = _Table(path)
     with whole(path, table.kind, BROKEN):
@@ -54,10 +48,7 @@ def open_parquet(path: Path) -> list[RawRecording]:
     notes = clock_notes(stamps, clock) if clock else []
     if others:
         notes.append(f"columns without numbers left out: {short_list(others)}")
-    lost, counts = Lost(), Counter[str]()
-    raw = RawRecording(
-        path.stem, path, table.kind, lambda: table.blocks(used, raw), notes, counts, lost, clocks=(clock, "")
-    )
+    raw = RawRecording(path.stem, path, table.kind, lambda: table.blocks(used, raw), notes, clocks=(clock, ""))
     return [raw]
 
 
@@ -113,7 +104,9 @@ class _Table:
 
     def leaves(self) -> tuple[list[Leaf], list[str]]:
         """Leaves with numbers or times, and the names of the others."""
-        first = next((batch for batch in self.batches(self._readable()) if len(batch)), None)
+        schema = self._schema()
+        readable = [field.name for field in schema if not _is_binary(field.type)]  # images are not read
+        first = next((batch for batch in self.batches(readable) if len(batch)), None)
         if first is None:
             raise RecordingError(f"{self.path}: it has no rows")
         leaves, others = [], []
@@ -129,14 +122,7 @@ class _Table:
                 different = len(leaf.unique()) if kind == "stamp" else 0
                 leaves.append(Leaf(name, column, kind, count, different=different))
         leaves = [replace(one, labels=words.get(one.count, ())) for one in leaves]
-        return leaves, others + [name for name in self._names() if name not in first.schema.names]
-
-    def _names(self) -> list[str]:
-        return [field.name for field in self._schema()]
-
-    def _readable(self) -> list[str]:
-        """Columns that may hold numbers; those of images are not read."""
-        return [field.name for field in self._schema() if not _is_binary(field.type)]
+        return leaves, others + [name for name in schema.names if name not in first.schema.names]
 
     def _schema(self) -> Any:
         if self.kind == "Parquet":
@@ -164,7 +150,7 @@ class _Table:
                     t_ns, known = _stamps_ns(held[leaf.name], stamps)
                     if not known.all():
                         why = f"'{leaf.name}', its time, is missing"
-                        raw.lost.add(why, int((~known).sum()), raw.place(row + int(np.argmin(known))))
+                        raw.lost.add(why, int((~known).sum()), raw.position(row + int(np.argmin(known))))
                         t_ns, numbers, all_known = t_ns[known], numbers[known], False
                     rows = None if all_known else row + np.flatnonzero(known)
                 row += len(batch)
@@ -174,12 +160,8 @@ class _Table:
 
 def _is_binary(kind: pa.DataType) -> bool:
     if pa.types.is_nested(kind) and not pa.types.is_map(kind):
-        fields = [kind.field(k) for k in range(kind.num_fields)]
-        return (
-            any(_is_binary(one.type) for one in fields)
-            if not pa.types.is_struct(kind)
-            else all(_is_binary(one.type) for one in fields)
-        )
+        within = [_is_binary(kind.field(k).type) for k in range(kind.num_fields)]
+        return all(within) if pa.types.is_struct(kind) else any(within)
     binary = (pa.types.is_binary, pa.types.is_large_binary, pa.types.is_fixed_size_binary, pa.types.is_map)
     return any(test(kind) for test in binary)
 
@@ -221,7 +203,8 @@ def _kind(name: str, column: Any) -> tuple[str, int]:
         if not _is_numeric(values.type) or not counts.any():
             return "text", 1
         count, share = usual_length(counts)
-        return ("list", count) if share >= 0.5 and count <= MOST_ELEMENTS else ("long", 1)
+        is_signal = share >= 0.5 and count <= 1000  # longer ones are images or point clouds
+        return ("list", count) if is_signal else ("long", 1)
     return ("number" if _is_numeric(kind) else "text"), 1
 
 
@@ -248,12 +231,9 @@ def _elements(column: Any) -> tuple[Any, np.ndarray]:
 
 def _numbers(leaf: Leaf, column: Any, counts: Counter[str]) -> np.ndarray:
     """(samples, elements) float64; NaN where a value is missing."""
-    if leaf.kind == "digits":
-        return numbers_of(column)[:, None]
-    if leaf.kind == "flag":
-        return flags_of(column)[:, None]
-    if leaf.kind == "number":
-        return floats_of(column)[:, None]
+    plain = {"digits": numbers_of, "flag": flags_of, "number": floats_of}
+    if leaf.kind in plain:
+        return plain[leaf.kind](column)[:, None]
     rows, odd = rows_of_lists(column, leaf.count)
     if odd:
         counts[f"lists of '{leaf.name}' without {leaf.count} elements are missing values"] += odd

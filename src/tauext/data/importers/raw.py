@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext.data.recording import Recording
+from tauext.errors import RecordingError
 
 BLOCK_ROWS = 8192
 """Samples in a block: enough for NumPy's speed, few enough for memory."""
@@ -25,12 +28,12 @@ def short_list(names: Iterable[str], most: int = 8) -> str:
 
 @dataclass
 class Lost:
-    """Rows or messages that an import leaves out, by reason: their number and the place of the first."""
+    """Rows or messages that an import leaves out, by reason: their number and the position of the first."""
 
     reasons: dict[str, tuple[int, str]] = field(default_factory=dict)
 
     def add(self, reason: str, count: int, first: str) -> None:
-        """Count rows of this reason; `first` is the place of the first of them, such as "line 701"."""
+        """Count rows of this reason; `first` is the position of the first of them, such as "line 701"."""
         if count:
             before, at = self.reasons.get(reason, (0, first))
             self.reasons[reason] = before + count, at
@@ -41,7 +44,7 @@ class Lost:
         return sum(count for count, _ in self.reasons.values())
 
     def sentences(self) -> list[str]:
-        """A sentence a reason: number, reason, place of the first."""
+        """A sentence a reason: number, reason, position of the first."""
         return [f"{n} row{'s' * (n > 1)} left out: {why}, first {at}" for why, (n, at) in self.reasons.items()]
 
 
@@ -95,8 +98,8 @@ class RawRecording:
         ]
         return times + [f"the file states {name} = {hz:g} Hz" for name, hz in self.stated_hz.items()]
 
-    def place(self, row: int) -> str:
-        """Place of a row, counted from 0, as a person finds it in the file."""
+    def position(self, row: int) -> str:
+        """Position of a row, counted from 0, as a person finds it in the file."""
         word, first = self.row_word
         return f"{word} {row + first}"
 
@@ -138,3 +141,31 @@ class Importer:
     formats without topics. Raises RecordingError: damaged or empty."""
     export: Export | None = None
     """None: the format is only read."""
+
+
+def too_large(path: object) -> RecordingError:
+    """The error about a file that needs more memory than there is."""
+    return RecordingError(
+        f"{path}: what it states or unpacks to needs more memory than is free; split the file, or use a computer with "
+        "more memory"
+    )
+
+
+@contextmanager
+def whole(path: object, kind: str, broken: tuple[type[Exception], ...]) -> Iterator[None]:
+    """Convert a library's exceptions on truncated or damaged files to RecordingError.
+
+    Args:
+        kind: what the file is read as: "Parquet", "episode 3 of a LeRobot dataset".
+        broken: the library's exceptions.
+    """
+    try:
+        yield
+    except RecordingError:
+        raise
+    except MemoryError as error:
+        raise too_large(path) from error
+    except broken as error:
+        if re.search("memory allocation failed|unable to allocate|out of memory", str(error), re.IGNORECASE):
+            raise too_large(path) from error  # HDF5 and others report it as any other error
+        raise RecordingError(f"{path}: cannot be read as {kind}: it is truncated or damaged; copy it again") from error

@@ -6,9 +6,10 @@ import json
 import re
 import shutil
 import struct
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,21 +19,26 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from tauext.data.importers import mcap_file, ros1_bag, sqlite_bag
+from tauext.data.importers import bag, mcap_file
 from tauext.data.importers.bag import MOST_BYTES, ZSTD_MAGIC, BagFile, Channel, decompressed
-from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list
-from tauext.data.ros_messages import standard_types
+from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals
 from tauext.errors import RecordingError
 from tauext.files.preflight import in_words
+
+
+@cache
+def standard_types(ros1: bool = False) -> Any:
+    """Types of ROS 2 Humble or ROS 1 Noetic, as rosbags has them."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+
 
 # --- Messages to columns: JointState in bulk where messages have one layout, all others field by field.
 
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 ARRAYS = ("position", "velocity", "effort")
-NAMES = ("name", "names", "joint_names", "joint_name")
-"""Fields with the names of joints, whose values are the arrays of the same length beside them."""
-Deserialize = Callable[[bytes], Any]
 
 
 @dataclass(frozen=True)
@@ -93,7 +99,7 @@ class Messages:
         """Messages that became a row, so far."""
 
     def blocks(self, raw: Sequence[bytes], first: int) -> Iterator[tuple[np.ndarray, RawSignals]]:
-        """Yield the blocks of these messages, with their places in `raw`.
+        """Yield the blocks of these messages, with their positions in `raw`.
 
         Args:
             first: number of the first of the messages in its topic, from 0.
@@ -113,20 +119,20 @@ class Messages:
                 same = np.ones(len(group), bool)
                 for part in layout.fixed:
                     same &= (rows[:, part] == rows[0, part]).all(axis=1)
-                places = np.array(group)
-                one_by_one += places[~same].tolist()
+                positions = np.array(group)
+                one_by_one += positions[~same].tolist()
                 self.read += int(same.sum())
-                yield places[same], _in_bulk(self._channel.topic, rows if same.all() else rows[same], layout)
+                yield positions[same], _in_bulk(self._channel.topic, rows if same.all() else rows[same], layout)
         if one_by_one:
             yield from self._one_by_one(raw, sorted(one_by_one), first)
 
     def _one_by_one(
-        self, raw: Sequence[bytes], places: Sequence[int], first: int
+        self, raw: Sequence[bytes], positions: Sequence[int], first: int
     ) -> Iterator[tuple[np.ndarray, RawSignals]]:
         topic, recording = self._channel.topic, self._recording
-        by_names: dict[tuple[str, ...], tuple[list[int], list[list[float]], list[int]]] = {}
-        for k in places:
-            at = f"{recording.place(first + k)} of {topic}"
+        by_names: dict[tuple[str, ...], list[tuple[int, list[float], int]]] = {}
+        for k in positions:
+            at = f"{recording.position(first + k)} of {topic}"
             try:
                 message = self._deserialize(raw[k])
                 numbers = self._columns(message, at)
@@ -135,13 +141,11 @@ class Messages:
                 recording.lost.add(f"cannot be decoded as {self._channel.msgtype or self._channel.encoding}", 1, at)
                 continue
             if numbers or not getattr(message, "name", True):  # an empty JointState is of no joint
-                rows, values, stamps = by_names.setdefault(tuple(numbers), ([], [], []))
-                rows.append(k)
-                values.append(list(numbers.values()))
-                stamps.append(t_ns)
+                by_names.setdefault(tuple(numbers), []).append((k, list(numbers.values()), t_ns))
             else:
                 recording.lost.add("without numbers", 1, at)
-        for names, (rows, values, stamps) in by_names.items():
+        for names, held in by_names.items():
+            rows, values, stamps = zip(*held, strict=True)
             self.read += len(rows)
             yield np.array(rows), RawSignals(topic, names, np.array(stamps, np.int64), np.array(values, np.float64))
 
@@ -186,10 +190,9 @@ class Clock:
     """Clock of a topic: header stamps, or log times if the first messages' stamps are all zero or all equal."""
 
     def __init__(self, raw: RawRecording):
-        self._raw = raw
-        self._by_log = ""
-        self._decided = False
-        self._messages = 0
+        self._raw, self._by_log, self._decided = raw, "", False
+        self.messages = 0
+        """Number of messages so far."""
 
     def stamped(self, blocks: Sequence[tuple[np.ndarray, RawSignals]], log_ns: np.ndarray) -> Iterator[RawSignals]:
         """Yield the blocks with this clock's times; messages without a stamp among stamped ones are left out.
@@ -197,7 +200,7 @@ class Clock:
         A first stamp of zero is kept where the next ones are near: simulated time begins there.
 
         Args:
-            blocks: blocks of messages that follow those before, with the place of each message in them.
+            blocks: blocks of messages that follow those before, with the position of each message in them.
             log_ns: log time of each message, [ns].
         """
         held = [block.t_ns for _, block in blocks if block.t_ns is not None]
@@ -209,32 +212,24 @@ class Clock:
                 self._by_log = "one and the same stamp"
             if not stamps.any() and (len(stamps) > 1 or log_ns[0] > 0):
                 self._by_log = "a stamp of zero"
-        begins_at_zero = self._messages == 0 and (
-            not stamps.any() or stamps[stamps != 0].min(initial=NEAR_ZERO_NS) < NEAR_ZERO_NS
-        )
-        for places, block in blocks:
+        near_ns = 10**10  # before that, a clock began at zero
+        begins_at_zero = self.messages == 0 and (not stamps.any() or stamps[stamps != 0].min(initial=near_ns) < near_ns)
+        for positions, block in blocks:
             assert block.t_ns is not None
-            rows = places + self._messages
+            rows = positions + self.messages
             if self._by_log:
                 self._raw.counts[f"{block.stream}: messages with {self._by_log}, timed by the bag's log"] += len(rows)
-                yield replace(block, t_ns=log_ns[places], rows=rows)
+                yield replace(block, t_ns=log_ns[positions], rows=rows)
                 continue
             stamped = (block.t_ns != 0) | ((rows == 0) & begins_at_zero)
             if not stamped.all():
-                first = self._raw.place(int(rows[np.argmin(stamped)]))
-                self._raw.lost.add(
-                    "without a stamp among stamped ones", int((~stamped).sum()), f"{first} of {block.stream}"
-                )
-                places, rows = places[stamped], rows[stamped]
+                first = f"{self._raw.position(int(rows[np.argmin(stamped)]))} of {block.stream}"
+                self._raw.lost.add("without a stamp among stamped ones", int((~stamped).sum()), first)
+                positions, rows = positions[stamped], rows[stamped]
                 block = replace(block, t_ns=block.t_ns[stamped], columns=block.columns[stamped])
             if len(rows):
-                yield replace(block, other_ns=log_ns[places], rows=rows)
-        self._messages += len(log_ns)
-
-    @property
-    def messages(self) -> int:
-        """Number of messages so far."""
-        return self._messages
+                yield replace(block, other_ns=log_ns[positions], rows=rows)
+        self.messages += len(log_ns)
 
 
 def _in_bulk(topic: str, rows: np.ndarray, layout: Layout) -> RawSignals:
@@ -287,7 +282,7 @@ def _numbers(value: Any, name: str, joints: Sequence[str] = ()) -> Iterator[tupl
                 yield from _numbers(element, f"{name}[{label}]", joints)
     else:
         held = _held(value)
-        for names in (held[key] for key in NAMES if key in held):
+        for names in (held[key] for key in ("name", "names", "joint_names", "joint_name") if key in held):
             if isinstance(names, list) and names and all(isinstance(one, str) and one for one in names):
                 joints = names if len(set(names)) == len(names) else ()
         for field, inner in held.items():
@@ -296,11 +291,9 @@ def _numbers(value: Any, name: str, joints: Sequence[str] = ()) -> Iterator[tupl
 
 def _held(value: Any) -> dict[str, Any]:
     """Fields of a message within a message; empty: it is none."""
-    if isinstance(value, SimpleNamespace):
-        fields: Iterable[str] = vars(value)
-    else:
-        fields = getattr(value, "__dataclass_fields__", ())
-    left_out = ("__msgtype__", "header") if not isinstance(value, SimpleNamespace) else ("header", *STAMPS)
+    is_json = isinstance(value, SimpleNamespace)
+    fields: Iterable[str] = vars(value) if is_json else getattr(value, "__dataclass_fields__", ())
+    left_out = ("header", "timestamp", "stamp") if is_json else ("header", "__msgtype__")
     return {field: getattr(value, field) for field in fields if field not in left_out}
 
 
@@ -311,29 +304,17 @@ def _by_joint(array: str, joints: Sequence[str], values: Any) -> dict[str, float
 # --- Choice of topics, and messages as blocks of columns.
 
 
-CLOCKS = ("header", "log")
-MESSAGE = ("message", 1)
-STAMPS = ("timestamp", "stamp")
-NEAR_ZERO_NS = 10**10
-"""Stamps before this are of a clock that began at zero, [ns]."""
-NO_TIME = 1 << 63
-"""Beyond all times, [ns]."""
 JOINTS = ("JointState", "DynamicJointState", "JointStates", "FrankaRobotState", "FrankaState")
 """Types with the measured state of an arm's joints, without the package; the first one in the file is read."""
-ENCODINGS = ("cdr", "ros1", "json")
 
 
 def chosen_topics(path: Path, channels: Iterable[Channel], topics: Sequence[str]) -> tuple[str, ...]:
-    """Return the topics named, else the only one of type JointState with messages, or of another type in JOINTS.
-
-    Raises:
-        RecordingError: a topic is missing, or none or several have that type; the message lists the topics.
-    """
+    """Return the topics named, else the only one of type JointState with messages, or of another type in JOINTS."""
     there: dict[str, tuple[str, int]] = {}
     for channel in channels:
         count = there.get(channel.topic, ("", 0))[1]
         there[channel.topic] = (channel.msgtype or channel.encoding, count + channel.count)
-    if not there or not any(count for _, count in there.values()):
+    if not any(count for _, count in there.values()):
         raise RecordingError(f"{path}: the bag is empty: it has no messages")
     listed = ", ".join(f"{t} ({kind.replace('/msg/', '/')}, messages: {n})" for t, (kind, n) in sorted(there.items()))
     for topic in topics:
@@ -366,17 +347,13 @@ def chosen_topics(path: Path, channels: Iterable[Channel], topics: Sequence[str]
 
 
 def expect_encodings(path: Path, channels: Iterable[Channel]) -> None:
-    """Refuse topics whose messages cannot be read.
-
-    Raises:
-        RecordingError: names topic, encoding, schema and profile.
-    """
+    """Refuse topics whose messages cannot be read."""
     for one in channels:
-        if one.encoding not in ENCODINGS:
+        if one.encoding not in ("cdr", "ros1", "json"):
             raise RecordingError(
                 f"{path}: topic {one.topic} has messages of encoding '{one.encoding}' (schema '{one.schema}', type "
-                f"'{one.msgtype}', profile '{one.profile}'); {short_list(ENCODINGS)} are read: record the topic in one "
-                "of these, or write its numbers to a CSV or Parquet file"
+                f"'{one.msgtype}', profile '{one.profile}'); cdr, ros1, json are read: record the topic in one of "
+                "these, or write its numbers to a CSV or Parquet file"
             )
 
 
@@ -411,12 +388,9 @@ def blocks_of(messages: Iterator[tuple[Channel, int, bytes]], recording: RawReco
             )
 
 
-def deserializer(channel: Channel) -> Deserialize:
+def deserializer(channel: Channel) -> Callable[[bytes], Any]:
     """Function from a message's bytes to its fields, by the definition in the file; by the standard one for JointState
     of ROS 2 and for types without a definition.
-
-    Raises:
-        RecordingError: the type has no definition, or one that cannot be used.
     """
     if channel.encoding == "json":
         return lambda raw: json.loads(raw, object_hook=lambda held: SimpleNamespace(**held))
@@ -443,13 +417,14 @@ def deserializer(channel: Channel) -> Deserialize:
 # --- Files: one, or those in the folder of a ROS 2 bag.
 
 
-MOST_RATIO = 1000
-"""Largest ratio of the sizes of a bag, unpacked and packed; those of an arm at rest have a ratio below 100."""
 MOST_OF_DISK = 0.5
 """Share of the free disk space that an unpacked bag may take."""
-MAGIC = ros1_bag.MAGIC
-MAGICS = (ros1_bag.MAGIC, sqlite_bag.MAGIC, mcap_file.MAGIC, ZSTD_MAGIC)
-SUFFIXES = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")
+KINDS: dict[bytes, Callable[[Path], BagFile]] = {
+    bag.ROS1_MAGIC: bag.Ros1Bag,
+    mcap_file.MAGIC: mcap_file.McapFile,
+    bag.SQLITE_MAGIC: bag.SqliteBag,
+}
+"""Files of bags by their first bytes."""
 
 
 def open_bag(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
@@ -457,9 +432,6 @@ def open_bag(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
 
     Storage files are read directly if metadata.yaml is missing or names missing files. Messages without a definition in
     the bag use the standard one of their type. What is damaged is left out, with a note.
-
-    Raises:
-        RecordingError: now or while it is read: empty, without the requested topics, or nothing of it can be read.
     """
     files, notes = _storage_files(path)
     damage_from = len(notes)
@@ -468,7 +440,7 @@ def open_bag(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
     for file in files:
         with _opened(file, notes) as storage:
             channels += storage.channels
-            formats.add("ROS 1 bag" if isinstance(storage, ros1_bag.Ros1Bag) else "ROS 2 bag")
+            formats.add("ROS 1 bag" if isinstance(storage, bag.Ros1Bag) else "ROS 2 bag")
     damage = notes[damage_from:]
     if damage and not any(channel.count for channel in channels):
         raise RecordingError(
@@ -484,7 +456,7 @@ def open_bag(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
             with _opened(file, notes) as storage:
                 mine = [channel for channel in storage.channels if channel.topic in wanted]
                 for channel, log_ns, raw in storage.messages(mine, recording.lost.add):
-                    if not 0 <= log_ns < NO_TIME:
+                    if not 0 <= log_ns < 1 << 63:
                         recording.lost.add("with a log time that is none", 1, f"on {channel.topic}")
                         continue
                     yield channel, log_ns, decompressed(raw, "zstd")[0] if raw[:4] == ZSTD_MAGIC else raw
@@ -497,14 +469,17 @@ def open_bag(path: Path, topics: Sequence[str] = ()) -> list[RawRecording]:
             raise RecordingError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
 
     name = path.stem if path.is_file() else path.name
-    recording = RawRecording(name, path, formats.pop(), blocks, notes, clocks=CLOCKS, row_word=MESSAGE)
+    recording = RawRecording(
+        name, path, formats.pop(), blocks, notes, clocks=("header", "log"), row_word=("message", 1)
+    )
     return [recording]
 
 
 def _storage_files(path: Path) -> tuple[list[Path], list[str]]:
     if path.is_file():
         return [path], []
-    found = sorted((p for p in path.iterdir() if p.name.endswith(SUFFIXES)), key=_by_number)
+    suffixes = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd")
+    found = sorted((p for p in path.iterdir() if p.name.endswith(suffixes)), key=_by_number)
     metadata = path / "metadata.yaml"
     if not metadata.is_file():
         if not found:
@@ -516,14 +491,12 @@ def _storage_files(path: Path) -> tuple[list[Path], list[str]]:
         if not found:
             raise
         return found, [f"metadata.yaml cannot be read: read {', '.join(p.name for p in found)}"]
-    missing = [name for name in named if not (path / name).is_file()]
+    missing = ", ".join(name for name in named if not (path / name).is_file())
     if not missing:
         return [path / name for name in named], []
     if not found:
-        raise RecordingError(
-            f"{path}: its metadata.yaml names {', '.join(missing)}, and no .db3 or .mcap file is there"
-        )
-    return found, [f"metadata.yaml names {', '.join(missing)}, not there: read {', '.join(p.name for p in found)}"]
+        raise RecordingError(f"{path}: its metadata.yaml names {missing}, and no .db3 or .mcap file is there")
+    return found, [f"metadata.yaml names {missing}, not there: read {', '.join(p.name for p in found)}"]
 
 
 def _by_number(path: Path) -> tuple:
@@ -544,27 +517,14 @@ def _named_files(metadata: Path) -> list[str]:
 
 @contextmanager
 def _opened(file: Path, notes: list[str]) -> Iterator[BagFile]:
-    """Open a file by its first bytes; its notes are added.
-
-    Raises:
-        RecordingError: it is none of the kinds, or nothing of it can be read.
-    """
+    """Open a file by its first bytes; its notes are added."""
     with ExitStack() as stack:
-        with file.open("rb") as raw:
-            begin = raw.read(len(sqlite_bag.MAGIC))
-        if begin.startswith(ZSTD_MAGIC):
-            folder = Path(stack.enter_context(TemporaryDirectory()))
-            file, whole = _unpacked(file, folder)
+        if (begin := _begin(file)).startswith(ZSTD_MAGIC):
+            file, whole = _unpacked(file, Path(stack.enter_context(TemporaryDirectory())))
             if not whole:
                 notes.append(f"{file.name}.zstd is cut off or damaged: read up to there")
-            with file.open("rb") as raw:
-                begin = raw.read(len(sqlite_bag.MAGIC))
-        kinds: Mapping[bytes, Callable[[Path], BagFile]] = {
-            ros1_bag.MAGIC: ros1_bag.Ros1Bag,
-            mcap_file.MAGIC: mcap_file.McapFile,
-            sqlite_bag.MAGIC: sqlite_bag.SqliteBag,
-        }
-        kind = next((kind for magic, kind in kinds.items() if begin.startswith(magic)), None)
+            begin = _begin(file)
+        kind = next((kind for magic, kind in KINDS.items() if begin.startswith(magic)), None)
         if kind is None:
             raise RecordingError(f"{file}: its first bytes are of no bag; copy it again from where it was recorded")
         storage = stack.enter_context(closing(kind(file)))
@@ -572,12 +532,18 @@ def _opened(file: Path, notes: list[str]) -> Iterator[BagFile]:
         yield storage
 
 
+def _begin(file: Path) -> bytes:
+    with file.open("rb") as raw:
+        return raw.read(16)
+
+
 def _unpacked(file: Path, folder: Path) -> tuple[Path, bool]:
     """Decompress a file into the folder; also returns whether all of it is whole."""
     path = folder / file.name.removesuffix(".zstd")
     with file.open("rb") as packed, path.open("wb") as out, pa.CompressedInputStream(packed, "zstd") as stream:
         free, size = int(MOST_OF_DISK * shutil.disk_usage(folder).free), 0
-        most = max(MOST_RATIO * file.stat().st_size, MOST_BYTES)
+        ratio = 1000  # of the sizes unpacked and packed; bags of an arm at rest have less than 100
+        most = max(ratio * file.stat().st_size, MOST_BYTES)
         while True:
             try:
                 part = stream.read(1 << 20)
@@ -585,7 +551,7 @@ def _unpacked(file: Path, folder: Path) -> tuple[Path, bool]:
                 return path, False
             if not part:
                 return path, True
-            if not size and not part.startswith((ros1_bag.MAGIC, sqlite_bag.MAGIC, mcap_file.MAGIC)):
+            if not size and not part.startswith(tuple(KINDS)):
                 raise RecordingError(f"{file}: what it unpacks to is no bag: it begins otherwise")
             if (size := size + len(part)) > free:
                 raise RecordingError(
@@ -594,6 +560,6 @@ def _unpacked(file: Path, folder: Path) -> tuple[Path, bool]:
                 )
             if size > most:
                 raise RecordingError(
-                    f"{file}: it unpacks to more than {in_words(most)}, {MOST_RATIO} times its size; no recording does"
+                    f"{file}: it unpacks to more than {in_words(most)}, {ratio} times its size; no recording does"
                 )
             out.write(part)

@@ -5,19 +5,16 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
-LabelAnswer = Literal["touched", "nothing", "unanswered", "suspect", "withdrawn"]
+from tauext.data.labels import LabelAnswer
+
 LARGEST_ID = 2**31 - 1
 """Largest number of an alarm: the core counts alarms in 32 bits."""
 LARGEST_STAMP = 2**61
 """Largest stamp, [ns]: its margins are whole numbers of 64 bits, too."""
 LARGEST = 1e15
 """Largest size of another number."""
-DEEPEST = 8
-"""Deepest nesting of a value."""
-SHOWN = 60
-"""Letters of a value in a message."""
 
 Line = Mapping[str, Any]
 Rule = tuple[Callable[[Any], bool], str]
@@ -57,7 +54,7 @@ def is_ranges(value: object) -> bool:
     )
 
 
-def is_plain(value: object, depth: int = DEEPEST) -> bool:
+def is_plain(value: object, depth: int = 8) -> bool:
     """Whether all numbers in it are finite and of usual size, and all texts can be written to a file."""
     if depth == 0:
         return False
@@ -83,46 +80,35 @@ def _or_none(check: Callable[[Any], bool]) -> Callable[[Any], bool]:
     return lambda value: value is None or check(value)
 
 
-TEXT: Rule = (is_text, "a text")
-MAYBE_TEXT: Rule = (_or_none(is_text), "a text or null")
-TRUTH: Rule = (lambda value: isinstance(value, bool), "true or false")
-ID: Rule = (lambda value: is_whole(value, LARGEST_ID), f"a whole number up to {LARGEST_ID}")
-COUNT: Rule = (lambda value: is_whole(value, least=0), f"a whole number of 0 to {LARGEST:g}")
-STAMP: Rule = (lambda value: is_whole(value, LARGEST_STAMP), "a whole number of ns")
-SIZE: Rule = (lambda value: is_number(value, 0.0), f"a number of 0 to {LARGEST:g}")
-MAYBE: Rule = (_or_none(is_number), "a finite number or null")
-BUNDLE: Rule = (is_bundle_name, "the name of a bundle of this folder, b0001 for example")
-RANGES: Rule = (is_ranges, "pairs of a first and a last number")
-TEXTS: Rule = (_each(is_text), "a list of texts")
-NUMBERS: Rule = (_each(is_number), "a list of finite numbers")
-
 RULES: dict[str, Rule] = {
-    **dict.fromkeys(("kind", "words", "wall", "sentence", "text", "by", "source", "created", "running"), TEXT),
-    **dict.fromkeys(
-        ("details", "level", "joint", "touch", "at", "on", "why", "worse", "bundle", "replaces"), MAYBE_TEXT
-    ),
-    **dict.fromkeys(("passed", "kept", "learned", "ended"), TRUTH),
-    **dict.fromkeys(("epoch", "first", "learn_from", "segment", "alarms", "format"), COUNT),
-    **dict.fromkeys(("t_ns", "held_ns", "from_ns", "to_ns"), STAMP),
-    **dict.fromkeys(("seconds", "minutes", "hours", "replayed_s"), SIZE),
-    **dict.fromkeys(("promised_per_hour", "per_hour", "before", "hits", "error_ratio", "test_minutes"), MAYBE),
-    **dict.fromkeys(("tau_ext_nm", "limit_nm", "newtons", "took_us"), MAYBE),
-    **dict.fromkeys(("joints", "units"), TEXTS),
-    **dict.fromkeys(("lost", "dropped"), RANGES),
-    "id": ID,
-    "answer": MAYBE_TEXT,
-    "name": (is_file_name, "the name of a file of this folder, without a path"),
-    "flight": (_or_none(is_file_name), "the name of a file, without a path, or null"),
-    "over": NUMBERS,
-    "error": (_each(_or_none(is_number)), "a list of finite numbers or null"),
-    "friction": (_each(lambda value: is_number(value, 1e-9), dict), "a number > 0 of each joint"),
-    "unanswered": (_each(lambda value: is_whole(value, least=0), dict), "a count of each bundle"),
-    "arm": (lambda value: isinstance(value, dict) and is_plain(value), "an object"),
-}
+    key: (check, words)
+    for keys, check, words in (
+        ("kind words wall sentence text by source created running", is_text, "a text"),
+        ("answer details level joint touch at on why worse bundle replaces", _or_none(is_text), "a text or null"),
+        ("passed kept learned ended", lambda value: isinstance(value, bool), "true or false"),
+        ("id", lambda value: is_whole(value, LARGEST_ID), f"a whole number up to {LARGEST_ID}"),
+        ("epoch first learn_from segment alarms format", lambda value: is_whole(value, least=0),
+         f"a whole number of 0 to {LARGEST:g}"),
+        ("t_ns held_ns from_ns to_ns", lambda value: is_whole(value, LARGEST_STAMP), "a whole number of ns"),
+        ("seconds minutes hours replayed_s", lambda value: is_number(value, 0.0), f"a number of 0 to {LARGEST:g}"),
+        ("promised_per_hour per_hour before hits error_ratio test_minutes tau_ext_nm limit_nm newtons took_us",
+         _or_none(is_number), "a finite number or null"),
+        ("joints units", _each(is_text), "a list of texts"),
+        ("lost dropped", is_ranges, "pairs of a first and a last number"),
+        ("name", is_file_name, "the name of a file of this folder, without a path"),
+        ("flight", _or_none(is_file_name), "the name of a file, without a path, or null"),
+        ("over", _each(is_number), "a list of finite numbers"),
+        ("error", _each(_or_none(is_number)), "a list of finite numbers or null"),
+        ("friction", _each(lambda value: is_number(value, 1e-9), dict), "a number > 0 of each joint"),
+        ("unanswered", _each(lambda value: is_whole(value, least=0), dict), "a count of each bundle"),
+        ("arm", lambda value: isinstance(value, dict) and is_plain(value), "an object"),
+    )
+    for key in keys.split()
+}  # fmt: skip
 """Rule of each key, whatever the kind of its line, and the rule in words."""
 OF_KIND: dict[tuple[str, str], Rule] = {
     ("label", "answer"): (lambda value: value in get_args(LabelAnswer), f"one of {', '.join(get_args(LabelAnswer))}"),
-    ("activation", "bundle"): BUNDLE,
+    ("activation", "bundle"): (is_bundle_name, "the name of a bundle of this folder, b0001 for example"),
 }
 """Rules that hold for one kind of line."""
 NEEDED = {
@@ -157,4 +143,4 @@ def shown(value: object) -> str:
     if isinstance(value, float) and not math.isfinite(value):
         return "nan" if math.isnan(value) else f"{value:g}"
     text = ascii(value)
-    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
+    return text if len(text) <= 60 else f"{text[:60]}..."

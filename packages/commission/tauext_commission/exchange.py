@@ -1,17 +1,21 @@
 """Another bundle takes over in a running loop, without a sample that is not monitored.
 
-A new monitor knows no drift, no friction state and no load, so it may not begin at once. The loop therefore keeps its
-last minute of samples in a Ring. In a thread of its own, a Successor with the new bundle's monitor repeats that minute
-and then follows the newest samples. Once it is healthy and raised no alarm of its own for a while, the loop exchanges
-the monitors between two samples: exchange() is that course. NoMonitor stands in before there is any bundle.
+A new monitor has no drift, no friction state and no load, so it must not begin at once. BundleExchange therefore keeps
+the last minute of samples in RecentSamples. In a thread of its own, a WarmUp of the new bundle's monitor repeats that
+minute and then follows the newest samples. Once the monitor is healthy and has raised no alarm of its own for a while,
+it replaces the loop's monitor between two samples.
 """
 
 from __future__ import annotations
 
+import queue
+import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -20,66 +24,15 @@ import numpy as np
 from tauext import _core
 from tauext.bundle.estimates import OK
 from tauext.data.servo import servo_facts
-from tauext.errors import TauextError
+from tauext.errors import ConfigError, TauextError
+from tauext.monitor.loop import Loop
+from tauext.monitor.no_monitor import AnyMonitor
 from tauext.monitor.source import Block, SourceSettings, settings_of
 from tauext.monitor.touch_place import PlaceFinder
 
-# --- Before any bundle.
-
-NO_BUNDLE = "nothing is monitored yet: there is no bundle"
-
-
-class _NoEstimate:
-    """The last estimate of a NoMonitor."""
-
-    alarm, load_phase, health = _core.Alarm.none, _core.LoadPhase.none, _core.Health.warming_up
-    alarm_t_ns, touch_over = 0, True
-
-
-class NoMonitor:
-    """Stands in for _core.Monitor until there is a bundle: torques are NaN, health is never ok, no alarm is raised."""
-
-    why_no_wrench = why_not_expected = why_no_weighing = why_no_load = lambda self, *arguments: NO_BUNDLE
-    last = _NoEstimate
-    samples = bridged_ticks = restarts = clock_jumps = alarms = 0
-    weighing = False
-    load = _core.Load(0.0)
-
-    def __init__(self, arm: SourceSettings):
-        n = len(arm.joints)
-        self.joints, self.joint_names, self.sample_period_ns = n, list(arm.joints), arm.period_ns
-        self.torque_units = self.estimate_units = list(arm.torque_units or ["N m"] * n)
-        self.limit_factors = (np.ones(n), np.ones(n))
-        self._waiting = _core.no_estimate(n, _core.Health.warming_up)
-        self._missing = _core.no_estimate(n, _core.Health.stale)
-        self._wrong_size = _core.no_estimate(n, _core.Health.fault)
-
-    def run(self, t_ns: np.ndarray, *signals: object) -> dict[str, np.ndarray]:
-        """A row a sample; all calls share it."""
-        if len(t_ns) == 1:
-            return self._waiting
-        return {name: np.broadcast_to(row, (len(t_ns), *row.shape[1:])) for name, row in self._waiting.items()}
-
-    def run_missing(self, now_ns: int, recorder: object = None) -> dict[str, np.ndarray]:
-        return self._missing
-
-    def run_wrong_size(self, t_ns: int, recorder: object = None) -> dict[str, np.ndarray]:
-        return self._wrong_size
-
-    acknowledge = resume = stop_weighing = lambda self: None
-
-    def set_limit_factors(self, collision: np.ndarray, contact: np.ndarray) -> None:
-        self.limit_factors = (collision, contact)
-
-    def carried(self) -> bytes:
-        return b""
-
-
-AnyMonitor = _core.Monitor | NoMonitor
-
 # --- The newest samples.
 
-RING_S = 60.0
+RECENT_S = 60.0
 """Time that is replayed to a new bundle's monitor, so that its drift trackers have strokes of every joint, [s]."""
 MARK_S = 1.0
 """Time between two states from which a replay may start, [s]."""
@@ -90,7 +43,7 @@ SILENT_ROWS = 20
 
 @dataclass(frozen=True)
 class Piece:
-    """Consecutive samples, and missing ones, of a Ring."""
+    """Consecutive samples, and missing ones, of a RecentSamples."""
 
     t_ns: np.ndarray
     q: np.ndarray
@@ -103,19 +56,19 @@ class Piece:
     """Level exceeded at this sample in the loop's monitor."""
 
 
-class Ring:
+class RecentSamples:
     """The last minute of samples, with what was done to the monitor between them. One thread writes, others copy."""
 
     def __init__(self, joints: int, period_ns: int):
         self._slack = max(10, round(1e9 / period_ns))
-        self.rows = max(1, round(RING_S * 1e9 / period_ns)) + self._slack
+        self.rows = max(1, round(RECENT_S * 1e9 / period_ns)) + self._slack
         self.count = 0
         """Number of samples so far; the next one has this row."""
         self._t_ns, self._came = np.zeros(self.rows, dtype=np.int64), np.zeros(self.rows, dtype=bool)
         self._held = np.zeros(self.rows, dtype=np.uint8)
         self._q, self._dq, self._tau, self._temperature = (np.full((self.rows, joints), np.nan) for _ in range(4))
         self._warm, self._silent = False, 0
-        self._marks: deque[tuple[int, bytes, int]] = deque(maxlen=round(RING_S / MARK_S) + 1)
+        self._marks: deque[tuple[int, bytes, int]] = deque(maxlen=round(RECENT_S / MARK_S) + 1)
         self._acts: deque[tuple[int, Callable[[_core.Monitor], None]]] = deque(maxlen=1000)
 
     def add(self, block: Block, held: np.ndarray) -> None:
@@ -217,7 +170,7 @@ def why_not_exchange(bundle: _core.Bundle, arm: SourceSettings) -> str:
 
 
 def put_load(monitor: _core.Monitor, load: _core.Load, since_ns: int | None) -> None:
-    """Set the load that the loop's monitor carries, or found, from this time on; see Ring.act()."""
+    """Set the load that the loop's monitor carries, or found, from this time on; see RecentSamples.act()."""
     monitor.set_load(load.mass, load.com, load.inertia, since_ns=since_ns, error_share=load.error_share)
 
 
@@ -226,14 +179,14 @@ def holds_back(load_phase: np.ndarray) -> np.ndarray:
     return (load_phase != _core.LoadPhase.none.value) & (load_phase != _core.LoadPhase.weighing.value)
 
 
-class Successor:
+class WarmUp:
     """A new bundle's monitor that repeats the samples of a ring and then follows them."""
 
-    def __init__(self, bundle: _core.Bundle, ring: Ring, own_rate: bool, wrench: str | None, quiet_s: float):
+    def __init__(self, bundle: _core.Bundle, recent: RecentSamples, own_rate: bool, wrench: str | None, quiet_s: float):
         """Raises ConfigError if the bundle lacks the frame, or CoreError if it refuses the load."""
-        self.bundle, self._ring, self._own_rate = bundle, ring, own_rate
+        self.bundle, self._recent, self._own_rate = bundle, recent, own_rate
         self._quiet_s = quiet_s
-        self._made_s, self._made_at = time.monotonic(), ring.count
+        self._made_s, self._made_at = time.monotonic(), recent.count
         self.model = bundle.model_digest
         self.places = PlaceFinder(bundle, wrench)
         self.alarms = 0
@@ -249,7 +202,7 @@ class Successor:
     def _begin(self) -> None:
         self.monitor = _core.Monitor(self.bundle, self._own_rate)
         self._period_s = self.monitor.sample_period_ns * 1e-9
-        self.first_row, self.carried = self.row, carried = self._ring.start(self.model)
+        self.first_row, self.carried = self.row, carried = self._recent.start(self.model)
         """Row of the first repeated sample, and what was carried there."""
         if carried:
             self.monitor.carry(carried)
@@ -258,12 +211,12 @@ class Successor:
 
     def follow(self, most: int) -> int:
         """Repeat up to `most` further samples; returns the number of those that are left."""
-        end = min(self._ring.count, self.row + most)
-        piece = self._ring.since(self.row, end - self.row)
+        end = min(self._recent.count, self.row + most)
+        piece = self._recent.since(self.row, end - self.row)
         if piece is None:  # too slow, or stopped meanwhile
             self._begin()
-            return self._ring.count - self.row
-        acts = self._ring.acts(self.row, end)
+            return self._recent.count - self.row
+        acts = self._recent.acts(self.row, end)
         cuts = {0, len(piece.came), *(row - self.row for row, _ in acts)}
         cuts |= set((np.flatnonzero(np.diff(piece.came)) + 1).tolist())
         for begin, stop in pairwise(sorted(cuts)):
@@ -272,7 +225,7 @@ class Successor:
                     act(self.monitor)
             self._repeat(piece, slice(begin, stop))
         self.row = end
-        return self._ring.count - end
+        return self._recent.count - end
 
     def _repeat(self, piece: Piece, rows: slice) -> None:
         if not piece.came[rows.start]:
@@ -296,7 +249,7 @@ class Successor:
     def has_time(self) -> bool:
         """Whether the loop's samples come faster than in real time."""
         elapsed_s = time.monotonic() - self._made_s
-        return elapsed_s > MEASURED_S and (self._ring.count - self._made_at) * self._period_s > FASTER * elapsed_s
+        return elapsed_s > MEASURED_S and (self._recent.count - self._made_at) * self._period_s > FASTER * elapsed_s
 
     def why_not_yet(self) -> str:
         """Reason why it cannot take over now; empty: it can."""
@@ -308,7 +261,7 @@ class Successor:
 
     def finish(self, old: AnyMonitor) -> str:
         """In the loop's thread: repeat the last samples and continue what the old monitor holds, or why not yet."""
-        left = self._ring.count - self.row
+        left = self._recent.count - self.row
         if left > CATCH_UP_ROWS and not self.has_time:
             return "the replay is late"
         self.follow(left)
@@ -316,7 +269,7 @@ class Successor:
             return "a load is expected or being weighed"
         if reason := self.why_not_yet():
             return reason
-        for _, act in self._ring.acts(self.row, self.row + 1):  # since the last sample
+        for _, act in self._recent.acts(self.row, self.row + 1):  # since the last sample
             act(self.monitor)
         self.monitor.set_limit_factors(*(np.array(factors) for factors in old.limit_factors))
         self.left = old.carried()
@@ -352,44 +305,142 @@ class Exchanged:
     """Time that it took in the loop's thread, [µs]."""
 
 
-def exchange(
-    path: Path,
-    ring: Ring,
-    arm: SourceSettings,
-    why_not: Callable[[Successor], str],
-    take_over: Callable[[Successor], str],
-    stop: Callable[[], str],
-    own_rate: bool,
-    wrench: str | None,
-    quiet_s: float,
-) -> str:
-    """Bring the bundle of this file into the loop; returns "" once it is there, or the reason why it is not.
+class BundleExchange:
+    """Brings other bundles into a running loop; made before the loop runs."""
 
-    Args:
-        why_not: reason why the loop refuses this bundle; empty: it takes it.
-        take_over: has the loop's thread finish the exchange, see Successor.finish().
-        quiet_s: healthy time without an alarm of its own before it may take over, [s].
-        stop: reason why to give up now, such as the loop's end; empty: none.
-    """
-    try:
-        bundle = _core.Bundle.load(str(path))
-        if reason := why_not_exchange(bundle, arm):
-            return reason
-        successor = Successor(bundle, ring, own_rate, wrench, quiet_s)
-        if reason := why_not(successor):
-            return reason
-        while not (reason := stop()):
-            started = time.monotonic()
-            has_time = successor.has_time
-            left = successor.follow(ring.rows if has_time else PIECE_ROWS)
-            if left > CAUGHT_UP_ROWS and not has_time:  # leave the core and the interpreter to the loop for as long
-                time.sleep(min(time.monotonic() - started, WAIT_S))
-                continue
-            if not (reason := successor.why_not_yet() or take_over(successor)):
-                return ""
-            if successor.followed_s > GIVE_UP_S:
-                return f"bundle {bundle.name} stays out: {reason} in {GIVE_UP_S:g} s"
-            time.sleep(WAIT_S)
-    except TauextError as error:
-        return str(error)
-    return reason
+    def __init__(self, loop: Loop, arm: SourceSettings, exchanged: Callable[[Exchanged], None]):
+        """
+        Args:
+            arm: what the source delivers, whatever the bundle.
+            exchanged: called in the loop's thread with every exchange.
+
+        Raises:
+            ConfigError: the loop's bundle is for another arm.
+        """
+        if loop.bundle is not None and (reason := why_not_exchange(loop.bundle, arm)):
+            raise ConfigError(reason)
+        self._loop, self._arm, self._exchanged = loop, arm, exchanged
+        self.recent = RecentSamples(len(arm.joints), arm.period_ns)
+        self._requests: queue.SimpleQueue[tuple[Path, Callable[[str], None]] | None] = queue.SimpleQueue()
+        self._load_kg = 0.0
+        self._mark_ns: int | None = None
+        self._is_running = True
+        loop.supply = self
+
+    @property
+    def carried(self) -> bytes:
+        """What the monitor carried at the newest second, for Loop.start_from(); empty: nothing yet."""
+        return self.recent.carried
+
+    def bring(self, path: Path, done: Callable[[str], None]) -> None:
+        """Bring the bundle of this file into the loop, between two samples, once it has caught up and is quiet.
+
+        A newer request replaces one that still waits.
+
+        Args:
+            done: called in another thread with "" after the exchange, or with the reason why there is none.
+        """
+        self._requests.put((path, done))
+
+    # Called by the loop, in its thread.
+
+    def start(self) -> None:
+        self._load_kg = self._loop.monitor.load.mass
+        threading.Thread(target=self._work, name="exchange", daemon=True).start()
+
+    def end(self) -> None:
+        self._is_running = False
+        self._requests.put(None)
+
+    def judged(self, block: Block, estimates: dict[str, np.ndarray]) -> None:
+        """Keep these samples, what they did to the load, and once a second what the monitor carries."""
+        monitor, kg, t_ns = self._loop.monitor, estimates["load_kg"], int(block.t_ns[-1])
+        if kg[-1] != self._load_kg or (kg != kg[0]).any():
+            k = int(np.flatnonzero(np.append(self._load_kg, kg[:-1]) != kg)[-1])
+            self._load_kg, since_ns = float(kg[-1]), int(estimates["load_found_ns"][-1])
+            self.recent.act(partial(put_load, load=monitor.load, since_ns=since_ns or None), ahead=k)
+        self.recent.add(block, np.maximum(estimates["held_alarm"], holds_back(estimates["load_phase"])))
+        bundle = self._loop.bundle
+        if isinstance(monitor, _core.Monitor) and bundle is not None:
+            if self._mark_ns is None or not 0 <= t_ns - self._mark_ns < MARK_S * 1e9:
+                self._mark_ns = t_ns
+                self.recent.mark(monitor.carried(), bundle.model_digest)
+
+    def missed(self, t_ns: int) -> None:
+        self.recent.miss(t_ns)
+
+    def load_set(self, load: _core.Load, since_ns: int | None) -> None:
+        self._load_kg = load.mass
+        self.recent.act(partial(put_load, load=load, since_ns=since_ns))
+
+    def resumed(self) -> None:
+        self.recent.act(lambda monitor: monitor.resume())
+
+    def _take_over(self, warm: WarmUp) -> str:
+        """Between two samples: replace the monitor; returns why not yet."""
+        started, loop = time.monotonic_ns(), self._loop
+        try:
+            if reason := warm.finish(loop.monitor):
+                return reason
+        except Exception as error:  # the loop continues with its own monitor
+            return f"{type(error).__name__}: {error}"
+        warm.replaced, old = (loop.monitor, loop.bundle), loop.bundle
+        loop.take_over(warm.bundle, warm.monitor, warm.places)
+        self._load_kg, self._mark_ns = warm.monitor.load.mass, None
+        took_us = (time.monotonic_ns() - started) * 1e-3
+        facts = (loop.samples, loop.last_t_ns, warm.row - warm.first_row, warm.carried, warm.left, warm.alarms, took_us)
+        self._exchanged(Exchanged(warm.bundle.name, "" if old is None else old.name, *facts))
+        return ""
+
+    # A thread of its own, which no real-time priority reaches.
+
+    def _work(self) -> None:
+        while (request := self._requests.get()) is not None:
+            path, done = request
+            try:  # whatever is wrong, the next bundle must find this thread
+                answer = self._brought(path)
+            except Exception as error:
+                answer = f"{path.name!r}: {type(error).__name__}: {error}"
+            try:
+                done(answer)
+            except Exception as error:
+                text = f"{path.name!r}: {type(error).__name__}: {error}"
+                self._loop.request(partial(self._loop.note, text))
+
+    def _brought(self, path: Path) -> str:
+        """Bring the bundle of this file into the loop; returns "" once it is there, or the reason why it is not."""
+        loop, given = self._loop, self._loop.settings
+        quiet_s = FIRST_QUIET_S if loop.bundle is None else QUIET_S
+        try:
+            bundle = _core.Bundle.load(str(path))
+            if reason := why_not_exchange(bundle, self._arm):
+                return reason
+            warm = WarmUp(bundle, self.recent, given.own_rate, given.wrench, quiet_s)
+            if reason := loop.why_refused(warm.monitor, warm.places):
+                return reason
+            while self._is_running and self._requests.empty():
+                started, has_time = time.monotonic(), warm.has_time
+                left = warm.follow(self.recent.rows if has_time else PIECE_ROWS)
+                if left > CAUGHT_UP_ROWS and not has_time:  # leave core and interpreter to the loop for as long
+                    time.sleep(min(time.monotonic() - started, WAIT_S))
+                    continue
+                if not (reason := warm.why_not_yet() or self._ask_to_take_over(warm)):
+                    return ""
+                if warm.followed_s > GIVE_UP_S:
+                    return f"bundle {bundle.name} stays out: {reason} in {GIVE_UP_S:g} s"
+                time.sleep(WAIT_S)
+        except TauextError as error:
+            return str(error)
+        return STOPPED
+
+    def _ask_to_take_over(self, warm: WarmUp) -> str:
+        """Have the loop's thread replace the monitor, and wait for its answer."""
+        answers: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._loop.request(lambda: answers.put(self._take_over(warm)))
+        while self._is_running or not answers.empty():
+            with suppress(queue.Empty):
+                return answers.get(timeout=WAIT_S)
+        return "the loop has ended"
+
+
+STOPPED = "a newer bundle, or the end of the loop, came first"

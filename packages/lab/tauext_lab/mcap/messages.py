@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable, Mapping
-from functools import cache
 from typing import Any
 
 import numpy as np
 
-NS_PER_S = 1_000_000_000
-LAST_NS = (1 << 31) * NS_PER_S - 1
+from tauext.data.importers.ros import standard_types
+
+LAST_NS = (1 << 31) * 10**9 - 1
 """Last time of a stamp, which has 32 bits of seconds."""
-BASE, NAME, ARRAY = 1, 2, 3
+_BASE, _NAME, _ARRAY = 1, 2, 3
 """Kinds of fields in rosbags' tables; the fourth is a sequence."""
-
-
-@cache
-def standard_types(ros1: bool = False) -> Any:
-    """Types of ROS 2 Humble or ROS 1 Noetic, as rosbags has them."""
-    from rosbags.typesys import Stores, get_typestore
-
-    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
 
 
 def definition(kind: str) -> str:
@@ -41,18 +34,18 @@ def message(kind: str, given: Mapping[str, Any]) -> Any:
     values = {}
     for name, (nature, of) in fields:
         value = given.get(name)
-        if nature == NAME:
+        if nature == _NAME:
             values[name] = message(of, value or {})
-        elif nature == BASE:
+        elif nature == _BASE:
             values[name] = _zero(of[0]) if value is None else value
         else:
             (inner, what), size = of
-            if inner == NAME:
-                values[name] = [message(what, one) for one in value or [{}] * (size if nature == ARRAY else 0)]
+            if inner == _NAME:
+                values[name] = [message(what, one) for one in value or [{}] * (size if nature == _ARRAY else 0)]
             elif what[0] == "string":
                 values[name] = list(value or [])
             else:
-                values[name] = np.asarray([0] * (size if nature == ARRAY else 0) if value is None else value, what[0])
+                values[name] = np.asarray([0] * (size if nature == _ARRAY else 0) if value is None else value, what[0])
     return store.types[kind](**values)
 
 
@@ -67,7 +60,7 @@ def cdr(kind: str, given: Mapping[str, Any]) -> bytes:
 
 def stamp(t_ns: int) -> dict[str, int]:
     """A time of ROS; t_ns: 0 to LAST_NS."""
-    sec, nanosec = divmod(t_ns, NS_PER_S)
+    sec, nanosec = divmod(t_ns, 10**9)
     return {"sec": sec, "nanosec": nanosec}
 
 
@@ -80,14 +73,14 @@ class Template:
     def __init__(self, kind: str, count: int, make: Callable[[dict[str, int], list[float]], Mapping[str, Any]]):
         """make: fields of the message with this stamp, which may occur several times, and these `count` numbers."""
         drawn = np.random.default_rng(0).uniform(1, 2, count)
-        mark_ns = 0x5A5A_5A5A * NS_PER_S + 0x2B2B_2B2B
+        mark_ns = 0x5A5A_5A5A * 10**9 + 0x2B2B_2B2B
         raw = cdr(kind, make(stamp(mark_ns), drawn.tolist()))
         self._raw = np.frombuffer(raw, np.uint8)
-        self._stamps = _places(raw, struct.pack("<iI", *stamp(mark_ns).values()))
+        self._stamps = _positions(raw, struct.pack("<iI", *stamp(mark_ns).values()))
         self._runs: list[list[int]] = []
         """Numbers that are neighbours in the bytes, too: where they begin, the first one, the one after the last."""
         for k, one in enumerate(drawn.tolist()):
-            (at,) = _places(raw, struct.pack("<d", one))
+            (at,) = _positions(raw, struct.pack("<d", one))
             if self._runs and at == self._runs[-1][0] + 8 * (k - self._runs[-1][1]):
                 self._runs[-1][2] = k + 1
             else:
@@ -102,7 +95,7 @@ class Template:
         """
         rows = np.tile(self._raw, (len(t_ns), 1))
         stamps = np.empty((len(t_ns), 2), "<u4")
-        stamps[:, 0], stamps[:, 1] = np.divmod(t_ns, NS_PER_S)
+        stamps[:, 0], stamps[:, 1] = np.divmod(t_ns, 10**9)
         for at in self._stamps:
             rows[:, at : at + 8] = stamps.view(np.uint8)
         if numbers is not None:
@@ -112,10 +105,6 @@ class Template:
         return rows
 
 
-def _places(raw: bytes, mark: bytes) -> list[int]:
+def _positions(raw: bytes, mark: bytes) -> list[int]:
     """Where the mark begins, each time it occurs."""
-    places, at = [], raw.find(mark)
-    while at >= 0:
-        places.append(at)
-        at = raw.find(mark, at + len(mark))
-    return places
+    return [found.start() for found in re.finditer(re.escape(mark), raw)]

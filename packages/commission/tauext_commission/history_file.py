@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
-from tauext.data.labels import ALARM, labels_of
+from tauext.data.labels import Label, LabelAnswer
 from tauext.errors import ConfigError
-from tauext.files.journal import COMPACTED, Contents, read
-from tauext.files.journal_lines import is_bundle_name, is_number, is_text, is_whole
 from tauext.files.plain_file import expect_format, json_of, read_json, read_text
+from tauext_commission.journal import COMPACTED, Contents, read
+from tauext_commission.journal_lines import is_bundle_name, is_number, is_text, is_whole
 
 FACTS = "commission.json"
 NOTED = "journal"
 """Entry of commission.json and coverage.json: number of a recent line of the journal; it shows a lost end."""
+KIND, ALARM = "label", "event"
+"""Kinds of lines: of an answer, and of an alarm, whose stamps its label has."""
 BUNDLES = "bundles"
 COVERAGE = "coverage.json"
 RESULTS = "results"
@@ -43,6 +45,11 @@ def read_facts(folder: Path) -> dict[str, Any]:
     if NOTED not in content:
         raise ConfigError(f"{folder}: was made by a version of tauext without a journal; {remedy}")
     return dict(content)
+
+
+def control_socket(folder: Path) -> Path:
+    """Path of the socket that takes control lines for this folder's arm."""
+    return folder / str(read_facts(folder).get("control") or "control.sock")
 
 
 def lost_lines(folder: Path, noted: int | None = None) -> int:
@@ -72,6 +79,54 @@ def expect_journal(folder: Path) -> None:
             f"{folder}: {lost_words(lost, unusable_words(folder))}; nothing is trained on it before "
             f"`tauext commission --out {folder} --repair`"
         )
+
+
+# --- Labels.
+
+
+def read_labels(folder: Path, to_train: bool = False) -> tuple[Label, ...]:
+    """The newest label of each id in the journal of a folder; see tauext.data.labels.read_labels()."""
+    if to_train:
+        expect_journal(folder)
+    return labels_of(read(folder))
+
+
+@lru_cache(maxsize=8)
+def labels_of(journal: Contents) -> tuple[Label, ...]:
+    """The newest label of each id in these lines."""
+    newest: dict[int, Label] = {}
+    alarms: dict[int, Label] = {}
+    for content in journal.lines:
+        with suppress(KeyError, TypeError, ValueError):
+            if content.get("kind") == ALARM:
+                alarms[content["id"]] = label_of_alarm(content)
+                newest.setdefault(content["id"], alarms[content["id"]])
+            elif content.get("kind") == KIND:
+                label = label_of(content)
+                is_late = label.id in newest and newest[label.id].is_answered
+                if label.answer != "withdrawn" or not is_late:  # the answer came while labels were withdrawn
+                    newest[label.id] = label
+    labels = (label for label in newest.values() if label.answer != "withdrawn")
+    return tuple(one if one.id not in alarms else alarms[one.id].answered(one) for one in labels)
+
+
+def label_of_alarm(content: Mapping[str, Any]) -> Label:
+    """Make the label of an unanswered alarm from its line; KeyError or ValueError where it is none."""
+    span = int(content["t_ns"]), int(content.get("held_ns") or content["t_ns"])
+    words = str(content.get("wall") or ""), str(content.get("bundle") or "")
+    return Label(int(content["id"]), int(content["epoch"]), *span, "unanswered", "nobody", *words)
+
+
+def label_of(content: Mapping[str, Any]) -> Label:
+    """The label in one line; KeyError or ValueError where it is none."""
+    label = Label(**{field.name: type_of(field.type)(content[field.name]) for field in fields(Label)})
+    if label.answer not in get_args(LabelAnswer):
+        raise ValueError(label.answer)
+    return label
+
+
+def type_of(name: object) -> type:
+    return int if name == "int" else str
 
 
 def lost_words(lost: int, unusable: str = "") -> str:
@@ -130,7 +185,7 @@ def _events(journal: Contents) -> tuple[dict[str, Any], ...]:
     answers: dict[Any, dict[str, Any]] = {one.id: {"answer": one.answer, "by": one.by} for one in answered}
     newest: dict[Any, dict[str, Any]] = {}
     for one in journal.kinds.get(ALARM, ()):
-        own = {key: value for key, value in one.items() if key not in ("number", "kind", "format", "journal")}
+        own = {key: value for key, value in one.items() if key not in ("number", "kind")}
         newest[one.get("id")] = own | answers.get(one.get("id"), {"answer": None})
     return tuple(newest.values())
 
@@ -153,7 +208,7 @@ def read_question(folder: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Watch:
-    """One time of a bundle in charge, in seconds of received samples."""
+    """A time in which a bundle was in charge, in seconds of received samples."""
 
     bundle: str
     from_s: float

@@ -13,9 +13,9 @@ from tauext import _core
 from tauext.bundle.estimates import ALARMS, HEALTHS, NONE
 from tauext.bundle.units import not_in_newtons
 from tauext.monitor.changes import Change, ChangeFinder, LoadChange
-from tauext.monitor.exchange import AnyMonitor
 from tauext.monitor.explanation import KINDS, Unseen, unseen_of
 from tauext.monitor.loads import TimedLoad
+from tauext.monitor.no_monitor import AnyMonitor
 from tauext.monitor.phases import Phases
 from tauext.monitor.touch_place import PlaceFinder
 

@@ -1,8 +1,7 @@
-"""The MCAP file of a live arm, written by a thread while the loop runs."""
+"""The MCAP file of a loop, written by a thread."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -11,8 +10,8 @@ import numpy as np
 from tauext import _core
 from tauext.errors import ConfigError
 from tauext.monitor.background import BackgroundWorker
-from tauext.monitor.mcap_log import COLUMNS, McapLog, expect_log
 from tauext.monitor.sink import Control, LoopReport, Verdict
+from tauext_lab.mcap.log import COLUMNS, McapLog, expect_log
 
 BATCH_S = 0.5
 """Length of a chunk of the file, in the time of the samples: a killed process loses about twice as much."""
@@ -23,11 +22,13 @@ MOST_WAITING = 20
 class McapSink:
     """Keeps verdicts and hands them over in batches; a thread writes. A file without a sample is removed."""
 
-    def __init__(self, path: Path, bundle: _core.Bundle, source: str, frame: str | None = None):
-        """See McapLog. Raises ConfigError where there can be no such file; it is made by open()."""
+    def __init__(self, path: Path, bundle: _core.Bundle, source: str, frame: str | None = None, patient: bool = False):
+        """See McapLog. Raises ConfigError where there can be no such file; it is made by open().
+
+        Args:
+            patient: whether the loop waits for the disk instead of losing samples, as a replay may.
+        """
         expect_log(path)
-        self.note: Callable[[str], None] = lambda text: None
-        """Called in the loop's thread; set it before open()."""
         self.path, self.lost, self.error = path, 0, ""
         """lost: samples that are not in the file; error: why."""
         self._made = (path, bundle, source, frame)
@@ -36,6 +37,7 @@ class McapSink:
         self._verdicts: list[Verdict] = []
         self._rows = self._reported = 0
         self.worker = BackgroundWorker("mcap", MOST_WAITING)
+        self.worker.patient = patient
 
     @property
     def samples(self) -> int:
@@ -43,9 +45,9 @@ class McapSink:
         return 0 if self._log is None else self._log.samples
 
     def open(self, joints: tuple[str, ...], control: Control) -> None:
-        self._log = McapLog(*self._made)
+        self._control, self._log = control, McapLog(*self._made)
         if self._log.without:
-            self.note(f"{self.path.name}: {self._log.without}")
+            control.note(f"{self.path.name}: {self._log.without}")
         self.worker.start()
 
     def verdict(self, verdict: Verdict) -> None:
@@ -58,7 +60,14 @@ class McapSink:
         self._hand_over()
         if self.lost > self._reported:
             self._reported = self.lost
-            self.note(f"MCAP FILE LOSES SAMPLES: {self.lost:,} so far ({self.error})")
+            self._control.note(f"MCAP FILE LOSES SAMPLES: {self.lost:,} so far ({self.error})")
+
+    def summary(self) -> str:
+        return f"{self.path}: {self.samples:,} samples"
+
+    def loss(self) -> str:
+        of = self.lost + self.samples
+        return f"{self.lost} of {of} samples of the MCAP file are lost: {self.error}" if self.error else ""
 
     def close(self) -> None:
         """Write what is left, and wait for the disk."""

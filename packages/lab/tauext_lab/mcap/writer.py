@@ -15,26 +15,12 @@ from zlib import crc32
 import numpy as np
 import pyarrow as pa
 
-from tauext.data.importers.mcap_file import (
-    CHANNEL,
-    CHUNK,
-    CHUNK_INDEX,
-    DATA_END,
-    FOOTER,
-    MAGIC,
-    MESSAGE,
-    MESSAGE_HEAD,
-    RECORD,
-    SCHEMA,
-    STATISTICS,
-)
+from tauext.data.importers import mcap_file as op
+from tauext.data.importers.mcap_file import MAGIC, MESSAGE_HEAD, RECORD
 
 HEADER, MESSAGE_INDEX = 1, 7
 HEAD = RECORD.size + MESSAGE_HEAD.size
 """Bytes of a message's record before its content."""
-CHUNK_BYTES = 1 << 20
-"""Size of a chunk from which on it is closed, before compression."""
-COMPRESSION = "zstd"
 
 
 class McapWriter:
@@ -70,11 +56,11 @@ class McapWriter:
         if not schema:
             schema = self._schemas[kind, definition] = len(self._schemas) + 1
             body = struct.pack("<H", schema) + text(kind) + text("ros2msg") + text(definition)
-            new = record(SCHEMA, body)
+            new = record(op.SCHEMA, body)
         number = len(self._sequence)
         held = b"".join(text(key) + text(value) for key, value in metadata.items())
         body = struct.pack("<HH", number, schema) + text(topic) + text("cdr") + struct.pack("<I", len(held)) + held
-        new += record(CHANNEL, body)
+        new += record(op.CHANNEL, body)
         self._write(new)
         self._definitions.append(new)
         self._sequence[number] = 0
@@ -91,7 +77,7 @@ class McapWriter:
         if not rows:
             return
         whole = np.empty((rows, HEAD + size), np.uint8)
-        whole[:, : RECORD.size] = np.frombuffer(RECORD.pack(MESSAGE, MESSAGE_HEAD.size + size), np.uint8)
+        whole[:, : RECORD.size] = np.frombuffer(RECORD.pack(op.MESSAGE, MESSAGE_HEAD.size + size), np.uint8)
         heads = np.zeros(rows, [("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("publish", "<u8")])
         heads["channel"], heads["log"], heads["publish"] = channel, t_ns, t_ns
         heads["sequence"] = (self._sequence[channel] + np.arange(rows)) & 0xFFFFFFFF
@@ -103,7 +89,7 @@ class McapWriter:
         self._parts.append(whole.tobytes())
         self._size += whole.size
         self._sequence[channel] += rows
-        if self._size >= CHUNK_BYTES:
+        if self._size >= 1 << 20:  # before compression
             self.flush()
 
     def flush(self) -> None:
@@ -112,11 +98,11 @@ class McapWriter:
             return
         records, indices = b"".join(self._parts), {key: np.concatenate(held) for key, held in self._index.items()}
         self._begin_chunk()
-        packed = pa.compress(records, COMPRESSION, asbytes=True)
+        packed = pa.compress(records, "zstd", asbytes=True)
         first = min(int(held[:, 0].min()) for held in indices.values())
         last = max(int(held[:, 0].max()) for held in indices.values())
-        body = struct.pack("<QQQI", first, last, len(records), crc32(records)) + text(COMPRESSION)
-        chunk = record(CHUNK, body + struct.pack("<Q", len(packed)) + packed)
+        body = struct.pack("<QQQI", first, last, len(records), crc32(records)) + text("zstd")
+        chunk = record(op.CHUNK, body + struct.pack("<Q", len(packed)) + packed)
         start, offsets, after = self._end, b"", b""
         for channel, held in indices.items():
             offsets += struct.pack("<HQ", channel, start + len(chunk) + len(after))
@@ -125,7 +111,7 @@ class McapWriter:
         self._counts.update({channel: len(held) for channel, held in indices.items()})
         body = struct.pack("<QQQQI", first, last, start, len(chunk), len(offsets)) + offsets
         sizes = struct.pack("<QQ", len(packed), len(records))
-        self._chunks.append(record(CHUNK_INDEX, body + struct.pack("<Q", len(after)) + text(COMPRESSION) + sizes))
+        self._chunks.append(record(op.CHUNK_INDEX, body + struct.pack("<Q", len(after)) + text("zstd") + sizes))
         was = self._span or (first, last)
         self._span = min(was[0], first), max(was[1], last)
 
@@ -135,12 +121,12 @@ class McapWriter:
             return
         try:
             self.flush()
-            data_end = record(DATA_END, struct.pack("<I", 0))
+            data_end = record(op.DATA_END, struct.pack("<I", 0))
             counts = b"".join(struct.pack("<HQ", *one) for one in self._counts.items())
             numbers = (sum(self._counts.values()), len(self._schemas), len(self._sequence), 0, 0, len(self._chunks))
             body = struct.pack("<QHIIIIQQ", *numbers, *(self._span or (0, 0))) + struct.pack("<I", len(counts)) + counts
-            summary = b"".join(self._definitions) + record(STATISTICS, body) + b"".join(self._chunks)
-            footer = record(FOOTER, struct.pack("<QQI", self._end + len(data_end), 0, 0))
+            summary = b"".join(self._definitions) + record(op.STATISTICS, body) + b"".join(self._chunks)
+            footer = record(op.FOOTER, struct.pack("<QQI", self._end + len(data_end), 0, 0))
             self._write(data_end + summary + footer + MAGIC)
         finally:
             os.close(self._file)

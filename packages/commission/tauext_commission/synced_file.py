@@ -78,8 +78,3 @@ def lock(file: int) -> None:
         import fcntl
 
         fcntl.flock(file, fcntl.LOCK_EX)
-
-
-def write_all(file: int, line: bytes) -> None:
-    while line:
-        line = line[os.write(file, line) :]

@@ -18,14 +18,14 @@ import numpy as np
 
 from tauext import _core
 from tauext.bundle.estimates import ALARMS, DECLARED, HEALTHS, lacking
-from tauext.data.mcap_writer import McapWriter
-from tauext.data.ros_messages import LAST_NS, Template, cdr, definition, stamp
 from tauext.errors import ConfigError
 from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import VERSION
 from tauext.monitor.changes import Change
-from tauext.monitor.replay import StatusClock
-from tauext.robot.viewer_urdf import viewer_urdf
+from tauext.monitor.event_stream import StatusClock
+from tauext_lab.mcap.messages import LAST_NS, Template, cdr, definition, stamp
+from tauext_lab.mcap.viewer_urdf import viewer_urdf
+from tauext_lab.mcap.writer import McapWriter
 
 DRAWN_HZ = 30.0
 """Rate of what is drawn: transforms, the arrow, and limits, which change slowly."""

@@ -12,24 +12,21 @@ import numpy as np
 
 from tauext._core import Capsule, JointType, Link, WrenchFrame
 
-BAR_M = 0.015
-"""Radius of the bar of a link without a shape."""
-COLOUR = "0.62 0.66 0.70 1"
-FAR = "100"
-"""Limit of a prismatic joint, [m]: readers expect one, and a bundle has none."""
 
-
-def viewer_urdf(links: Sequence[Link], capsules: Sequence[Capsule], frames: Sequence[WrenchFrame], base: str) -> str:
+def viewer_urdf(
+    links: Sequence[Link], capsules: Sequence[Capsule], frames: Sequence[WrenchFrame], base: str, bar_m: float = 0.015
+) -> str:
     """URDF whose links have the names of their joints and the frames of the core, in kg, m and rad.
 
     It is for drawing: masses are left out.
 
     Args:
         base: name of the link that nothing moves.
+        bar_m: radius of the bar of a link without a shape, [m].
     """
     root = ElementTree.Element("robot", name="arm")
     material = ElementTree.SubElement(root, "material", name="link")
-    ElementTree.SubElement(material, "color", rgba=COLOUR)
+    ElementTree.SubElement(material, "color", rgba="0.62 0.66 0.70 1")
     shapes: list[list[Capsule]] = [[] for _ in range(len(links) + 1)]
     for one in capsules:
         shapes[one.link].append(one)
@@ -37,19 +34,17 @@ def viewer_urdf(links: Sequence[Link], capsules: Sequence[Capsule], frames: Sequ
         element = ElementTree.SubElement(root, "link", name=name)
         ends = [link.translation for link in links if link.parent == number]
         ends = ends or [frame.translation for frame in frames if frame.link == number]
-        for one in shapes[number] or [Capsule(number, [0, 0, 0], end, BAR_M) for end in ends]:
+        for one in shapes[number] or [Capsule(number, [0, 0, 0], end, bar_m) for end in ends]:
             _draw(element, one)
     for link in links:
-        slides = link.type == JointType.prismatic
-        joint = ElementTree.SubElement(
-            root, "joint", name=link.joint_name, type="prismatic" if slides else "continuous"
-        )
+        kind = "prismatic" if link.type == JointType.prismatic else "continuous"
+        joint = ElementTree.SubElement(root, "joint", name=link.joint_name, type=kind)
         ElementTree.SubElement(joint, "parent", link=base if link.parent < 0 else links[link.parent].joint_name)
         ElementTree.SubElement(joint, "child", link=link.joint_name)
         _origin(joint, np.asarray(link.translation), np.reshape(link.rotation, (3, 3)))
         ElementTree.SubElement(joint, "axis", xyz="0 0 1")
-        if slides:
-            ElementTree.SubElement(joint, "limit", lower=f"-{FAR}", upper=FAR, effort="0", velocity="0")
+        if kind == "prismatic":  # readers expect limits, and a bundle has none
+            ElementTree.SubElement(joint, "limit", lower="-100", upper="100", effort="0", velocity="0")
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
 
@@ -91,9 +86,6 @@ def roll_pitch_yaw(rotation: np.ndarray) -> tuple[float, float, float]:
     flat = float(np.hypot(rotation[0, 0], rotation[1, 0]))
     pitch = float(np.arctan2(-rotation[2, 0], flat))
     if flat > 1e-9:
-        return (
-            float(np.arctan2(rotation[2, 1], rotation[2, 2])),
-            pitch,
-            float(np.arctan2(rotation[1, 0], rotation[0, 0])),
-        )
+        roll = float(np.arctan2(rotation[2, 1], rotation[2, 2]))
+        return roll, pitch, float(np.arctan2(rotation[1, 0], rotation[0, 0]))
     return float(np.arctan2(-rotation[1, 2], rotation[1, 1])), pitch, 0.0  # only the sum of roll and yaw is known

@@ -24,19 +24,20 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from tauext_lab.mcap import writer as mcap_writer
+from tauext_lab.mcap.log import DRAWN_HZ, M_PER_N, Arm, McapLog, arrows_of
+from tauext_lab.mcap.messages import Template, cdr, stamp
+from tauext_lab.mcap.sink import McapSink
+from tauext_lab.mcap.viewer_urdf import viewer_urdf
 
 from tauext import _core
-from tauext.data import mcap_writer
+from tauext.data.importers import mcap_file
 from tauext.data.importers.open_raw import open_raw
 from tauext.data.recording_file import save_recording
-from tauext.data.ros_messages import Template, cdr, stamp
 from tauext.errors import ConfigError
 from tauext.monitor.loop import Loop
-from tauext.monitor.mcap_log import DRAWN_HZ, M_PER_N, Arm, McapLog, arrows_of, quaternion
-from tauext.monitor.mcap_sink import McapSink
 from tauext.monitor.phases import Phase, Phases
 from tauext.monitor.touch_place import PlaceFinder
-from tauext.robot.viewer_urdf import viewer_urdf
 
 ROWS, PUSH_S, PUSH_N = 1500, (0.8, 1.2), (60.0, 120.0, 0.0)
 ALWAYS = {
@@ -390,13 +391,6 @@ def test_messages_of_a_template_are_those_of_rosbags():
         assert raw.tobytes() == cdr(kind, make(stamp(int(t_ns[row])), values[row].tolist()))
 
 
-def test_quaternions_turn_as_their_matrices():
-    for q in np.random.default_rng(3).uniform(-3, 3, (20, 3)):
-        turn = oracle.pin.rpy.rpyToMatrix(*q)
-        x, y, z, w = quaternion(turn)
-        np.testing.assert_allclose(oracle.pin.Quaternion(w, x, y, z).toRotationMatrix(), turn, atol=1e-12)
-
-
 # --- Live.
 
 
@@ -477,10 +471,10 @@ def test_a_disk_that_is_full_for_a_while_loses_samples_and_no_file(tmp_path, bun
     chunks, real = [0], os.write
 
     def half_full(file: int, content) -> int:
-        chunks[0] += content[0] == mcap_writer.CHUNK
+        chunks[0] += content[0] == mcap_file.CHUNK
         if chunks[0] != 2:
             return real(file, content)
-        if content[0] == mcap_writer.CHUNK:
+        if content[0] == mcap_file.CHUNK:
             return real(file, content[: len(content) // 2])  # the rest does not fit
         raise OSError(errno.ENOSPC, "No space left on device")
 

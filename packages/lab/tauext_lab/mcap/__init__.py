@@ -1,0 +1,1 @@
+"""Samples, estimates, forces and events of a loop as MCAP files for viewers."""

@@ -108,6 +108,10 @@ def looped(
     return loop, keeper, loop.exchanges
 
 
+def columns_of(samples: Sequence[Sample]) -> list[np.ndarray]:
+    return [np.array([getattr(one, name) for one in samples]) for name in ("t_ns", "q", "dq", "tau")]
+
+
 class Warm(ScriptedSource):
     """Gives the script's samples as they are, with their temperatures."""
 
@@ -122,9 +126,6 @@ def assert_same(verdicts: Sequence, estimates: dict[str, np.ndarray]) -> None:
     for name, values in estimates.items():
         found = np.concatenate([one.estimates[name] for one in verdicts])
         np.testing.assert_array_equal(found, values, err_msg=name)
-
-
-# The answers.
 
 
 def still(samples: list[Sample], begin: int, end: int) -> list[Sample]:
@@ -176,9 +177,8 @@ def test_the_new_bundle_answers_as_one_that_replayed_the_same_seconds(phase, mod
 
     def repeat(begin: int, end: int) -> dict[str, np.ndarray]:
         rows = samples[begin:end]
-        signals = [np.array([getattr(s, name) for s in rows]) for name in ("t_ns", "q", "dq", "tau")]
         warm = np.array([s.temperature for s in rows]) if rows[0].temperature is not None else None
-        return fresh.run(*signals, None, warm)
+        return fresh.run(*columns_of(rows), None, warm)
 
     repeat(first, one.row)
     fresh.carry_alarm(one.left)
@@ -227,8 +227,7 @@ def test_the_same_bundle_changes_next_to_nothing(tmp_path):
     samples = samples_of(pushed(seconds=5, pushes=((2.0, 0, 12.0),)))
     swap = Swap(saved(old, tmp_path))
     _, keeper, _ = looped(old, [*samples[:4000], swap, *samples[4000:]])
-    signals = [np.array([getattr(s, name) for s in samples]) for name in ("t_ns", "q", "dq", "tau")]
-    plain = _core.Monitor(old).run(*signals)
+    plain = _core.Monitor(old).run(*columns_of(samples))
     assert swap.answer == ""
     for name in ("health", "causes", "alarm", "alarm_joint", "touch", "limit_nm"):
         np.testing.assert_array_equal(np.concatenate([v.estimates[name] for v in keeper.verdicts]), plain[name])
@@ -344,29 +343,17 @@ def test_an_alarm_keeps_its_places_and_drift_is_reported_anew():
     assert used == ["old", "old", "old", "new", "new"]
 
 
-# What has no bundle yet, or another.
-
-
 def test_before_any_bundle_nothing_is_monitored_and_the_first_one_takes_over(tmp_path):
-    class Following:
-        def __init__(self):
-            self.followed = []
+    class Following(Keeper):
+        followed = ()
 
         def open(self, joints, control):
-            self.control = control
-            load = "load mass=1 com=0,0,0"
-            self.refused = [obey(line, control, "x") for line in (load, "weigh", "expect seconds=1 at_most=1")]
-
-        def verdict(self, verdict):
-            pass
-
-        every_second = verdict
-
-        def close(self):
-            pass
+            super().open(joints, control)
+            lines = ("load mass=1 com=0,0,0", "weigh", "expect seconds=1 at_most=1")
+            self.refused = [obey(line, control, "x") for line in lines]
 
         def follow(self, bundle, monitor):
-            self.followed.append((bundle.name, monitor))
+            self.followed = [*self.followed, (bundle.name, monitor)]
 
     sink = Following()
     (tmp_path / "cell.toml").write_text("[profiles]\nlowest = 0.5\nhighest = 3.0\n[profiles.usual]\ncollision = 2.0\n")
@@ -427,9 +414,6 @@ def test_a_bundle_of_another_arm_is_refused(tmp_path):
         assert why in why_not_exchange(bundle_of("old"), replace(ARM, **change))
 
 
-# A load meanwhile.
-
-
 @pytest.mark.slow
 def test_a_load_is_carried_and_an_expected_one_delays_the_exchange(tmp_path):
     bundle, picks = knowing_bundle(six_axis_tree(tmp_path))
@@ -466,43 +450,38 @@ def test_a_load_is_carried_and_an_expected_one_delays_the_exchange(tmp_path):
     assert successor.finish(loop.monitor) == "a load is expected or being weighed"
 
 
-# After a restart.
-
-
-def test_a_new_loop_goes_on_from_what_was_carried(tmp_path):
-    bundle = bundle_of("old")
+@pytest.fixture(scope="module")
+def left() -> tuple[list[Sample], bytes]:
+    """Samples, and what a loop carries over that they end in a latched alarm."""
     samples = samples_of(pushed(seconds=5, pushes=((3.0, 0, 12.0),)))
-    first, _, _ = looped(bundle, samples)
+    first, _, _ = looped(bundle_of("old"), samples)
     carried = first.monitor.carried()
     assert len(first.supply.carried) == len(carried) and first.monitor.last.alarm == _core.Alarm.collision
-    keeper = Keeper()
-    loop = loop_of(bundle, ScriptedSource(samples[:2000]), [keeper])
+    return samples, carried
+
+
+def test_a_new_loop_goes_on_from_what_was_carried(left):
+    (samples, carried), keeper = left, Keeper()
+    loop = loop_of(bundle_of("old"), ScriptedSource(samples[:2000]), [keeper])
     assert loop.start_from(carried, 17) == ""
     loop.run()
     assert loop.alarms == 17 and all(v.alarm_number == 17 for v in keeper.verdicts)
     assert not [c for c in keeper.changes if isinstance(c, AlarmChange)]
-    fresh = _core.Monitor(bundle)
-    drift = fresh.run(*(np.array([getattr(s, n) for s in samples[:600]]) for n in ("t_ns", "q", "dq", "tau")))["drift"]
+    drift = _core.Monitor(bundle_of("old")).run(*columns_of(samples[:600]))["drift"]
     there = np.concatenate([v.estimates["drift"] for v in keeper.verdicts[:600]])
     assert np.abs(there[599]).max() > 5 * np.abs(drift[599]).max() > 0  # what had been learned
     assert "damaged" in loop.start_from(b"x" * len(carried), 0)
     assert loop_of(None, ScriptedSource([])).start_from(carried, 3) == NO_BUNDLE
 
 
-@pytest.mark.parametrize("is_answered", [True, False])
-def test_an_answered_alarm_that_is_carried_over_ends_once_nothing_touches_the_arm(is_answered):
-    bundle, samples = bundle_of("old"), samples_of(pushed(seconds=5, pushes=((3.0, 0, 12.0),)))
-    first, _, _ = looped(bundle, samples)
-    keeper = Keeper()
-    loop = loop_of(bundle, ScriptedSource(samples[:2000]), [keeper])
-    assert loop.start_from(first.monitor.carried(), 17, is_answered) == ""
+def test_an_answered_alarm_that_is_carried_over_ends_once_nothing_touches_the_arm(left):
+    (samples, carried), keeper = left, Keeper()
+    loop = loop_of(bundle_of("old"), ScriptedSource(samples[:2000]), [keeper])
+    assert loop.start_from(carried, 17, True) == ""
     loop.run()
     healthy = next(v.row for v in keeper.verdicts if v.estimates["health"][0] == OK)
     ended = [c.row for c in keeper.changes if isinstance(c, AlarmChange) and c.acknowledged]
-    assert ended == ([healthy + 50] if is_answered else []) and loop.alarms == 17
-
-
-# The ring.
+    assert ended == [healthy + 50] and loop.alarms == 17
 
 
 def test_a_ring_keeps_the_last_minute_and_no_long_silence():
@@ -524,9 +503,6 @@ def test_a_ring_keeps_the_last_minute_and_no_long_silence():
         ring.miss(700 + k)
     assert ring.count == 700 + exchange.SILENT_ROWS and not ring.since(700, 100).came.any()
     assert RecentSamples(1, 1_000_000).start(0) == (0, b"")
-
-
-# Answers.
 
 
 def test_only_the_answered_alarm_is_settled_if_it_stands():

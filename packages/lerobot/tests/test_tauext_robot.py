@@ -44,7 +44,7 @@ def wrapped(trained: Path, wall_at: int = 0, inner: dict | None = None, **settin
     return robot
 
 
-def record(robot: Tauext, root: Path, episodes: int = 3, frames: int = 150) -> list[np.ndarray]:
+def record(robot: Tauext, root: Path, episodes: int = 3, frames: int = 150, added=ADDED) -> list[np.ndarray]:
     """As lerobot-record does; what the robot said of each recorded frame is returned, an array an episode."""
     from lerobot.datasets import aggregate_pipeline_dataset_features, create_initial_features
     from lerobot.processor import make_default_processors
@@ -69,7 +69,7 @@ def record(robot: Tauext, root: Path, episodes: int = 3, frames: int = 150) -> l
             robot.send_action(action)
             if k >= frames:
                 continue
-            of_episode.append([seen[name] for name in ADDED])
+            of_episode.append([seen[name] for name in added])
             frame = build_dataset_frame(dataset.features, seen, prefix="observation")
             frame |= build_dataset_frame(dataset.features, action, prefix="action")
             dataset.add_frame({**frame, "task": "follow"})
@@ -97,6 +97,10 @@ def test_lerobot_finds_it_by_its_name(trained):
     assert "lerobot_robot_tauext" in sys.modules
 
 
+def loaded(trained: Path):
+    return tauext.load_bundle(trained / "arm.tauext"), load_arm(trained / "arm.toml")
+
+
 @pytest.mark.parametrize("settings", [{}, {"on_collision": "hold"}])
 def test_a_recorded_dataset_gives_the_same_again_to_the_last_bit(trained, tmp_path, settings):
     robot = wrapped(trained, wall_at=380, **settings)
@@ -110,8 +114,7 @@ def test_a_recorded_dataset_gives_the_same_again_to_the_last_bit(trained, tmp_pa
         np.testing.assert_array_equal(stored, live)
         assert (stored[0, -2:] == -1).all() and (stored[-1, -2:] >= 0).all()
     assert (columns["contact"] == 1).any()
-    bundle, arm = tauext.load_bundle(trained / "arm.tauext"), load_arm(trained / "arm.toml")
-    report = label_dataset(tmp_path / "recorded", bundle, arm, tmp_path / "again")
+    report = label_dataset(tmp_path / "recorded", *loaded(trained), tmp_path / "again")
     assert report.held == report.equal == report.frames == 300
     again = held(tmp_path / "again")[1]
     for name, values in columns.items():
@@ -126,14 +129,8 @@ def test_a_dataset_of_state_and_action_gets_what_the_robot_would_have_sent(train
     record(live, tmp_path / "with")
     plain = wrapped(trained, wall_at=WALL).robot
     plain.start_episode = lambda: None
-    global ADDED
-    kept, ADDED = ADDED, []
-    try:
-        record(plain, tmp_path / "without")
-    finally:
-        ADDED = kept
-    bundle, arm = tauext.load_bundle(trained / "arm.tauext"), load_arm(trained / "arm.toml")
-    label_dataset(tmp_path / "without", bundle, arm, tmp_path / "labelled")
+    record(plain, tmp_path / "without", added=())
+    label_dataset(tmp_path / "without", *loaded(trained), tmp_path / "labelled")
     dataset, columns = held(tmp_path / "labelled")
     for name, values in held(tmp_path / "with")[1].items():
         np.testing.assert_array_equal(columns[name], values)
@@ -143,13 +140,10 @@ def test_a_dataset_of_state_and_action_gets_what_the_robot_would_have_sent(train
         near = 0.1 if kind.startswith("q") else 1e-5  # lerobot reads quantiles off a histogram
         np.testing.assert_allclose(value, recorded_stats[kind], rtol=1e-5, atol=near)
     state = np.stack([np.asarray(row) for row in dataset.hf_dataset["observation.state"]])[:150]
-    own = compute_episode_stats(
-        {"observation.state": state}, {"observation.state": dataset.features["observation.state"]}
-    )
+    features = {"observation.state": dataset.features["observation.state"]}
+    own = compute_episode_stats({"observation.state": state}, features)["observation.state"]["std"]
     row = pq.read_table(tmp_path / "labelled/meta/episodes/chunk-000/file-000.parquet").to_pylist()[0]
-    np.testing.assert_allclose(
-        row["stats/observation.state/std"], own["observation.state"]["std"], rtol=1e-3, atol=1e-6
-    )
+    np.testing.assert_allclose(row["stats/observation.state/std"], own, rtol=1e-3, atol=1e-6)
 
 
 def test_a_collision_is_held_in_the_tick_that_finds_it(trained):

@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from doc_pages import Page, parses
+from doc_pages import Page
 from tauext_lerobot.frames import FrameLabeller, element_names
 from tauext_lerobot.labels import label_dataset
 
@@ -294,14 +294,6 @@ def test_a_damaged_dataset_is_refused_by_the_name_of_its_file(place, tmp_path, w
 PAGE = "quickstarts/lerobot.md"
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 HERE = Path(__file__).parents[1]
-
-
-def test_every_command_of_the_page_is_accepted(monkeypatch):
-    commands = Page(PAGE).commands()
-    assert [words[0] for words in commands] == ["import", "check", "train", "label", "guard"]
-    for command in commands:
-        assert parses(command, monkeypatch), command
-    assert not parses(["label", "--dataset", "demos", "--bundles", "arm.tauext"], monkeypatch)
 
 
 @pytest.mark.parametrize("text", [Page(PAGE).text, (HERE / "README.md").read_text()])

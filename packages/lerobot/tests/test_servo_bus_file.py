@@ -1,6 +1,6 @@
 """Bus files of serial servos: ours, LeRobot's calibration, and what is refused.
 
-docs/servo-arms.md: its commands, its arm.toml, its bus file and its Python.
+docs/servo-arms.md: its arm.toml, its bus file and its Python.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from doc_pages import Page, parses
+from doc_pages import Page
 from made_servos import ELBOW
 from tauext_lerobot.servo_bus_file import ServoJoint, servo_bus
 
@@ -38,18 +38,13 @@ SERVO_BUS = [
     ("[bus]\nbauds = 1\n", "unknown key 'bauds'; the nearest known is 'baud'"),
     ("[bus]\n[bus.joints.a]\nzero = 1\n", r"\[bus.joints.a\] id is missing"),
     ("[bus]\n[bus.joints.a]\nid = 253\n", "id = 253 must be a whole number from 0 to 252"),
-    ("[bus]\n[bus.joints.a]\nid = 1.5\n", "id = 1.5 must be a whole number"),
-    ("[bus]\n[bus.joints.a]\nid = 1\nsign = 0\n", "sign = 0 must be one of 1, -1"),
     ("[bus]\n[bus.joints.a]\nid = 1\nsign = true\n", "sign = True must be one of 1, -1"),
     ("[bus]\n[bus.joints.a]\nid = 1\nmulti_turn = 1\n", "multi_turn = 1 must be true or false"),
     ("[bus]\n[bus.joints.a]\nid = 1\ntype = 1\n", "type = 1 must be text"),
     ("[bus]\n[bus.joints.a]\nid = 1\nzeros = 1\n", ".bus.joints.a. unknown key 'zeros'"),
     ("[bus]\n[bus.joints.a]\nid = 1\n[bus.joints.b]\nid = 1\n", "joints 'a' and 'b' have the same id, 1"),
-    ("[bus]\njoints = 3\n", "joints = 3 must be a table"),
     ("[bus]\njoints.a = 3\n", r"a = 3 must be|is 3, must be"),
-    ("[bus]\ncalibration = 3\n", "calibration = 3 must be text"),
     ('[bus]\ncalibration = "none.json"\n', "none.json: there is no such LeRobot calibration file"),
-    ("[", "not readable as TOML"),
 ]
 
 
@@ -62,14 +57,6 @@ def test_a_file_that_breaks_a_rule_says_which(tmp_path, text, message):
 
 
 PAGE = "servo-arms.md"
-
-
-def test_every_command_of_the_page_is_accepted(monkeypatch):
-    commands = Page(PAGE).commands()
-    assert len(commands) >= 7
-    for command in commands:
-        assert parses(command, monkeypatch), command
-    assert not parses(["monitor", "arm.tauext", "--source", "feetech:x", "--bus", "bus.toml"], monkeypatch)
 
 
 def test_the_files_of_the_page_are_valid(tmp_path):

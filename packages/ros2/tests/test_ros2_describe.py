@@ -1,22 +1,16 @@
-"""An arm on a topic describes itself before a bundle exists: joints, rate, publisher, and what its effort is."""
+"""An arm on a topic describes itself before a bundle exists: joints, rate and publisher."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import threading
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from made_ros2 import DOMAIN, Robot, own_space
 
 pytest.importorskip("cyclonedds")
 
-from tauext_commission import connect as connecting
-from tauext_commission.connect import connect, settled
-from tauext_lab.sim.source import write_robot_file
 from tauext_ros2.settings import Ros2Settings
 
 from tauext.errors import ConfigError
@@ -64,25 +58,3 @@ def test_joints_rate_and_publisher_are_found_out(request, tmp_path):
     finally:
         ended.set()
         thread.join()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("factor", "code"), [(1.0, ""), (-1.0, "effort-sign"), (0.09, "effort-scale")])
-def test_an_arm_in_another_process_is_described_and_its_effort_judged_within_ten_seconds(
-    factor, code, request, tmp_path, monkeypatch
-):
-    monkeypatch.setattr(connecting, "LOOK_S", 10.0)
-    settings = Ros2Settings(topic=f"{own_space(request)}/joint_states", domain=DOMAIN)
-    arm = [sys.executable, str(Path(__file__).with_name("made_ros2_arm.py")), str(DOMAIN), settings.topic, str(factor)]
-    process = subprocess.Popen(arm)
-    try:
-        options = {"ros2": settings}
-        connected = connect(lambda: open_source("ros2", options)[0], write_robot_file("rig", tmp_path), wait_s=30.0)
-    finally:
-        process.kill()
-        process.wait()
-    assert connected.facts.settings.joints == ("joint1", "joint2")
-    assert connected.facts.settings.period_ns == 4_000_000 and connected.facts.signal == "unknown"
-    faults = {live.code for live in connected.lives if live.severity == "fault"}
-    assert faults == ({code} if code else set()), connected.lives
-    assert settled(connected.facts, connected.lives).signal == ("current" if code == "effort-scale" else "unknown")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from doc_pages import Page, parses
+from doc_pages import Page
 from made_arms import planar_rig, urdf
 from made_bundles import pushed, watching_bundle
 from made_live import Keeper
@@ -115,14 +115,6 @@ def test_a_missing_library_is_named(monkeypatch):
 
 PAGE = "quickstarts/ros2.md"
 TYPES = {"std_msgs/msg/Bool": Bool, "std_msgs/msg/String": String, "geometry_msgs/msg/Inertia": Inertia}
-
-
-def test_every_command_of_the_page_is_accepted(monkeypatch):
-    commands = Page(PAGE).commands()
-    assert len(commands) >= 8
-    for command in commands:
-        assert parses(command, monkeypatch), command
-    assert not parses(["monitor", "arm.tauext", "--source", "ros2", "--ros2.topics", "/joint_states"], monkeypatch)
 
 
 class Driver(threading.Thread):

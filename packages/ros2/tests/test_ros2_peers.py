@@ -1,4 +1,4 @@
-"""The monitor against other implementations of the wire, both ways, with types written down apart: Fast DDS and RustDDS.
+"""The monitor against other implementations of the wire, with types written down apart: Fast DDS and RustDDS.
 
 RustDDS (by ros2-client) keeps a node graph of its own. It finds others by multicast on networks other than loopback, so
 its test uses the machine's network.
@@ -44,7 +44,7 @@ def watched(loop: Loop, *words: object, beside=lambda: None) -> dict:
 
 
 def expect_torques(stamps: list[int], efforts: list, phase: tuple[float, float], begun: int) -> int:
-    """Torques are those of the monitor offline that begins at a sample; none is missing. Returns the first one's sample.
+    """Torques are those of the monitor offline that begins at a sample; none is missing. Returns the first's sample.
 
     Either side may meet the other's writer a moment after its own was met; from then on nothing is lost.
     """

@@ -142,7 +142,7 @@ class ServoFrames:
         return made if goals is None else made | {"q_des": goals}
 
     def sample(self, t_ns: int, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """q, dq and tau, (joints,) each, of the next frame: the monitor's input. Raises RecordingError: see signals()."""
+        """q, dq and tau, (joints,) each, of the next frame: as a monitor takes them. Raises as signals()."""
         row = np.array([[values[name] for name in self._names]], dtype=np.float32).astype(np.float64)
         signals = {key: rows[0] for key, rows in self.signals(np.array([t_ns]), row).items()}
         q = signals.pop("q")

@@ -1,4 +1,4 @@
-"""Bus files of serial servos: ours, LeRobot's calibration, and what is refused.
+"""Buses of serial servos: their files, ours and LeRobot's, and what the commands refuse in one line.
 
 docs/servo-arms.md: its arm.toml, its bus file and its Python.
 """
@@ -11,9 +11,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from doc_pages import Page
+from made_bundles import watching_bundle
 from made_servos import ELBOW
 from tauext_lerobot.servo_bus_file import ServoJoint, servo_bus
 
+from tauext.cli import main
 from tauext.data.description import parse_arm
 from tauext.errors import ConfigError
 from tauext.monitor.cell_file import load_cell
@@ -54,6 +56,31 @@ def test_a_file_that_breaks_a_rule_says_which(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(ConfigError, match=message):
         servo_bus(load_cell(path))
+
+
+MONITOR = "monitor watching.tauext --source"
+COMMISSION = "commission --out cell --no-page --source"
+
+
+@pytest.mark.parametrize(
+    ("words", "error"),
+    [
+        (f"{MONITOR} feetech:/dev/ttyACM0", "--source feetech:PORT needs --cell FILE with a table [bus]"),
+        (f"{MONITOR} damiao:can0", "--source damiao:CAN needs --cell FILE with a table [bus]"),
+        (f"{MONITOR} dynamixel:/dev/ttyUSB0 --cell none.toml", "none.toml: there is no such file; docs/running.md"),
+        (f"{MONITOR} feetech", "--source 'feetech' must be one of replay:FILE, ur:HOST"),
+        (f"{COMMISSION} feetech:/dev/null", "needs --cell FILE with a table [bus]"),
+        (f"{COMMISSION} damiao:can0 --cell cell.toml", "has no way to stop its robot"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(words, error, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    watching_bundle().save("watching.tauext")
+    (tmp_path / "cell.toml").write_text('[bus.joints.a]\nid = 1\n[reactions.r]\non = ["collision"]\nstop = true\n')
+    assert main(words.split()) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("tauext: error: ") and error in said and said.count("\n") == 1
+    assert not (tmp_path / "cell").exists()
 
 
 PAGE = "servo-arms.md"

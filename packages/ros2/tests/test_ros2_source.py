@@ -18,6 +18,8 @@ from tauext_ros2.settings import Ros2Settings
 
 from tauext.errors import ConfigError
 from tauext.monitor.source import SourceSettings
+from tauext.robot.write import write_placeholder
+from tauext.sources.open import open_source
 
 MS = 1_000_000
 
@@ -288,6 +290,42 @@ def test_a_publisher_that_offers_too_little_is_named(listen, robot, topic, monke
     robot(reliability="best-effort")
     told = until(lambda: live.next_sample(0.02) or [n for n in live.notes() if "offers" in n], "the note")
     assert told == [f"{topic}: a publisher offers less reliability or durability than requested"]
+
+
+@pytest.mark.slow
+def test_an_arm_describes_itself_before_a_bundle_exists(topic, robot, tmp_path):
+    def described(wait_s: float, file=None, **changed):
+        source, _ = open_source("ros2", {"ros2": Ros2Settings(topic=topic, domain=DOMAIN, **changed)})
+        return source.describe(wait_s, file)
+
+    with pytest.raises(ConfigError, match="no publisher of sensor_msgs/JointState in domain"):
+        described(0.3)
+    arm, gripper = robot(joints=("b", "a"), step_ns=4 * MS), robot(joints=("finger_joint",))
+    ended, fields = threading.Event(), {}
+
+    def drive() -> None:
+        while not ended.wait(0.004):
+            arm.send(**fields)
+            gripper.send(4)
+
+    thread = threading.Thread(target=drive, daemon=True)
+    thread.start()
+    try:
+        facts = described(20.0)
+        assert facts.settings == SourceSettings(("b", "a"), 4 * MS, ("N m", "N m"), "instant")
+        assert facts.signal == "unknown" and "until the arm's motion shows another kind" in facts.notes[-1]
+        ordered = described(20.0, write_placeholder(["a", "b", "c"], tmp_path))
+        assert ordered.settings.joints == ("a", "b")
+        fields["effort"] = []
+        time.sleep(0.05)
+        with pytest.raises(ConfigError, match="effort is empty"):
+            described(0.5, names=("a", "b"))
+        fields["effort"] = [float("nan"), 1.0]
+        with pytest.raises(ConfigError, match="no finite position, velocity and effort of b"):
+            described(0.5, names=("a", "b"))
+    finally:
+        ended.set()
+        thread.join()
 
 
 @pytest.mark.parametrize(

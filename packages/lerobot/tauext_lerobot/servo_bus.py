@@ -24,6 +24,7 @@ with suppress(ImportError):  # on Windows, use the vendors' ports
     import termios
 
     PORT_ERRORS = (OSError, termios.error)
+OPEN_ERRORS: tuple[type[BaseException], ...] = (*PORT_ERRORS, ValueError)
 
 
 class ServoPort:
@@ -49,7 +50,7 @@ class ServoPort:
         try:
             self._serial = serial.Serial(self.path, self.baud, timeout=0, write_timeout=1.0, exclusive=True)
             self._claim()
-        except (*PORT_ERRORS, ValueError) as error:
+        except OPEN_ERRORS as error:
             self.close()
             raise Unreachable(why_not_open(self.path, error)) from error
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
+import subprocess
+import sys
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
@@ -41,6 +44,22 @@ def write_fleet(folder: Path, text: str) -> Path:
     path = folder / "fleet.toml"
     path.write_text(text)
     return path
+
+
+QUIET = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "stdin": subprocess.DEVNULL}
+
+
+def started(fleet: Path, out: Path, *more: str, **settings: Any) -> subprocess.Popen:
+    """The command in a process of its own."""
+    command = [sys.executable, "-m", "tauext", "fleet", "run", str(fleet), "--out", str(out), *more]
+    return subprocess.Popen(command, **settings)
+
+
+def process_of(part: Path) -> int:
+    """The worker's that writes this folder of an unfinished task."""
+    named = re.search(r"-(\d+)-\w+$", part.name)
+    assert named is not None
+    return int(named[1])
 
 
 def arms_of(*names: str, dataset: str, more: str = "") -> str:

@@ -99,23 +99,8 @@ class Handler(BaseHTTPRequestHandler):
     def log_message(self, *_: object) -> None:
         pass
 
-    def do_HEAD(self) -> None:
-        self.answer("HEAD")
-
-    def do_GET(self) -> None:
-        self.answer("GET")
-
-    def do_PUT(self) -> None:
-        self.answer("PUT")
-
-    def do_POST(self) -> None:
-        self.answer("POST")
-
-    def do_DELETE(self) -> None:
-        self.answer("DELETE")
-
-    def answer(self, method: str) -> None:
-        url = urlsplit(self.path)
+    def answer(self) -> None:
+        method, url = self.command, urlsplit(self.path)
         query = parse_qs(url.query, keep_blank_values=True)
         bucket, _, key = unquote(url.path).removeprefix("/").partition("/")
         body = self.body()
@@ -150,6 +135,8 @@ class Handler(BaseHTTPRequestHandler):
             self.state.objects.pop(key, None)
             self.send(204, b"")
 
+    do_HEAD = do_GET = do_PUT = do_POST = do_DELETE = answer
+
     def body(self) -> bytes:
         body = self.rfile.read(int(self.headers.get("Content-Length") or 0))
         if self.headers.get("Transfer-Encoding") == "chunked":
@@ -172,18 +159,15 @@ class Handler(BaseHTTPRequestHandler):
         there = self.state.objects.get(key)
         if there is None:
             return self.refuse(404, "NoSuchKey", "The specified key does not exist.")
-        content, status, extra = there.content, 200, {}
+        content, status = there.content, 200
+        stamp = formatdate(there.modified_s, usegmt=True)
+        extra = {"ETag": there.etag, "Last-Modified": stamp, "Accept-Ranges": "bytes"}
         wanted = self.headers.get("Range", "")
         if wanted and method == "GET":
             first, _, last = wanted.removeprefix("bytes=").partition("-")
             end = min(int(last) + 1 if last else len(content), len(content))
             extra["Content-Range"] = f"bytes {first}-{end - 1}/{len(content)}"
             content, status = content[int(first) : end], 206
-        extra |= {
-            "ETag": there.etag,
-            "Last-Modified": formatdate(there.modified_s, usegmt=True),
-            "Accept-Ranges": "bytes",
-        }
         if method == "HEAD":
             return self.send(status, b"", extra, length=len(content))
         if fault == "short":  # half of what it says, then the connection is gone
@@ -239,12 +223,8 @@ class Handler(BaseHTTPRequestHandler):
         self.send(200, body.encode())
 
     def refuse(self, status: int, code: str, message: str) -> None:
-        body = (
-            b""
-            if self.command == "HEAD"
-            else f"<Error><Code>{code}</Code><Message>{message}</Message></Error>".encode()
-        )
-        self.send(status, body)
+        body = f"<Error><Code>{code}</Code><Message>{message}</Message></Error>".encode()
+        self.send(status, b"" if self.command == "HEAD" else body)
 
     def send(self, status: int, body: bytes, extra: dict[str, str] | None = None, length: int | None = None) -> None:
         self.send_response(status)

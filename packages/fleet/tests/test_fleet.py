@@ -105,11 +105,8 @@ def test_a_changed_setting_does_again_what_depends_on_it_and_says_so(place, monk
     assert whys(fleet, out) == {("b", "evaluate"): "inputs changed: evaluate.seed"}
     assert run_here(fleet, out, monkeypatch, QUICKER)[1] == [("b", "evaluate")]
     fleet = write_fleet(place, QUICK + arms + "evaluate.seed = 5\ntrain.observer.gain_per_s = 25\n")
-    said = whys(fleet, out)
-    assert said == {
-        ("b", "train"): "inputs changed: train.observer.gain_per_s",
-        ("b", "evaluate"): "train is done again",
-    }
+    changed = {"train": "inputs changed: train.observer.gain_per_s", "evaluate": "train is done again"}
+    assert whys(fleet, out) == {("b", stage): why for stage, why in changed.items()}
     assert run_here(fleet, out, monkeypatch, QUICKER)[1] == [("b", "train"), ("b", "evaluate")]
     assert whys(fleet, out) == {}
 
@@ -141,12 +138,8 @@ def test_a_broken_bag_fails_alone_and_once_mended_goes_on_alone(place, capsys, m
     assert line.startswith("two: import failed: ") and "broken.bag" in line
     book = {arm["name"]: arm for arm in json.loads((out / "fleet.json").read_text())["arms"]}
     assert book["two"]["state"] == "failed" and book["two"]["stages"]["import"]["reason"] in line
-    assert book["two"]["stages"]["check"] == {
-        "state": "skipped",
-        "hash": book["two"]["stages"]["check"]["hash"],
-        "seconds": None,
-        "reason": "import failed",
-    }
+    check = book["two"]["stages"]["check"]
+    assert (check["state"], check["seconds"], check["reason"]) == ("skipped", None, "import failed") and check["hash"]
     assert (out / "arms/one/import/one/split.json").is_file() and not (out / "arms/two/import").exists()
     assert (out / "arms/two/import.failed.txt").is_file()
     before = {name: at for name, at in touched(out).items() if name.startswith("arms/one/")}
@@ -156,18 +149,10 @@ def test_a_broken_bag_fails_alone_and_once_mended_goes_on_alone(place, capsys, m
     assert "two import: failed last time" in capsys.readouterr().out
     assert main(["fleet", "run", fleet, "--out", str(out), "--json"]) == 0
     events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert [(event["event"], event.get("arm"), event.get("stage")) for event in events] == [
-        ("start", None, None),
-        ("task", "two", "import"),
-        ("task", "two", "check"),
-        ("summary", None, None),
-    ]
-    assert events[-1] == {"event": "summary", "arms": 2, "done": 2, "failed": 0, "waiting": 0} | {
-        "done_now": 2,
-        "kept": 2,
-        "failures": [],
-        "file": str(out / "fleet.json"),
-    }
+    assert [event["event"] for event in events] == ["start", "task", "task", "summary"]
+    assert [(event["arm"], event["stage"]) for event in events[1:-1]] == [("two", "import"), ("two", "check")]
+    counts = {"arms": 2, "done": 2, "failed": 0, "waiting": 0, "done_now": 2, "kept": 2}
+    assert events[-1] == {"event": "summary", **counts, "failures": [], "file": str(out / "fleet.json")}
     assert before and before.items() <= touched(out).items()
     assert not (out / "arms/two/import.failed.txt").exists()
 
@@ -209,26 +194,18 @@ def test_calibrate_is_a_stage_where_something_says_for_what(place):
     text = QUICK + arms_of("a", dataset="data") + arms_of("b", dataset="data", more="calibrate = {in_hours = 2.0}")
     fleet = load_fleet(write_fleet(place, text + arms_of("c", dataset="data", more='calibration = "nights"')))
     assert [arm.stages[-2] for arm in fleet.arms] == ["train", "calibrate", "calibrate"]
-    plan = {
-        arm.arm.name: {step.task.stage: step.task for step in arm.steps} for arm in plan_fleet(fleet, place / "out")
-    }
-    assert plan["b"]["calibrate"].work["dataset"] == str(place / "data")
-    assert plan["c"]["calibrate"].work["dataset"] == str(place / "nights")
-    assert plan["c"]["evaluate"].work["bundle"] == str(place / "out/arms/c/calibrate/c.tauext")
-    assert plan["a"]["train"].inputs | {"name": "b"} == plan["b"]["train"].inputs
+    planned = [step.task for arm in plan_fleet(fleet, place / "out") for step in arm.steps]
+    plan = {(task.arm, task.stage): task for task in planned}
+    assert plan["b", "calibrate"].work["dataset"] == str(place / "data")
+    assert plan["c", "calibrate"].work["dataset"] == str(place / "nights")
+    assert plan["c", "evaluate"].work["bundle"] == str(place / "out/arms/c/calibrate/c.tauext")
+    assert plan["a", "train"].inputs | {"name": "b"} == plan["b", "train"].inputs
 
 
 def test_settings_stand_over_one_another_fleet_then_type_then_arm(place):
-    text = """
-    train = { recipe = "prior", alarm = { in_hours = 4.0, false_alarms = 2.0 } }
-    [types.light]
-    train = { alarm = { in_hours = 6.0 } }
-    [[arms]]
-    name = "a"
-    type = "light"
-    dataset = "data"
-    train.alarm.contact_hold_s = 0.5
-    """
+    text = 'train = { recipe = "prior", alarm = { in_hours = 4.0, false_alarms = 2.0 } }\n'
+    text += "[types.light]\ntrain = { alarm = { in_hours = 6.0 } }\n"
+    text += arms_of("a", dataset="data", more='type = "light"\ntrain.alarm.contact_hold_s = 0.5')
     (arm,) = load_fleet(write_fleet(place, text)).arms
     alarm = arm.train.alarm
     assert (arm.train.recipe, alarm.false_alarms, alarm.in_hours, alarm.contact_hold_s) == ("prior", 2.0, 6.0, 0.5)
@@ -255,11 +232,7 @@ WRONG = [
     (ONE + "stages = []", ["stages = [] must be one of import, check"]),
     (ONE + "[types.light]\n", ["type = ''", "light"]),
     (ONE + "train.max_stepz = 5", ["[train]", "unknown key 'max_stepz'", "'max_steps'"]),
-    (ONE + "train.max_steps = 'five'", ["max_steps = 'five' must be a whole number"]),
-    (ONE + "train.max_steps = true", ["max_steps = True must be a whole number"]),
-    (ONE + "train.recipe = 'best'", ["recipe = 'best' must be one of tauext, prior"]),
     (ONE + "train.observer.gain_per_s = 'fast'", ["gain_per_s", 'or "auto"']),
-    (ONE + "train.alarm.holds_s = [0, 'x']", ["holds_s", "a list, each a number"]),
     (ONE + "train.hidden = 0", ["hidden = 0 must be a whole number from 1"]),
     (ONE + "train.threads = 4", ["threads is not set here", "--workers"]),
     (ONE + "evaluate.seed = -1", ["[evaluate]", "seed = -1"]),
@@ -285,13 +258,11 @@ def test_a_pattern_that_fits_the_whole_disk_is_refused(place, capsys, monkeypatc
 
 def test_a_full_disk_is_reported_with_the_file(tmp_path):
     """Python's error of a write names no file; /dev/full fails as a full disk does."""
+    kept = tmp_path / "kept.json"
     with pytest.raises(OSError, match="No space left on device: .*kept.json") as told:
-        with atomic_write(tmp_path / "kept.json"), open("/dev/full", "wb", buffering=0) as disk:
+        with atomic_write(kept), open("/dev/full", "wb", buffering=0) as disk:
             disk.write(b"x")
-    assert (
-        reason_and_report(told.value)[0]
-        == f"{tmp_path / 'kept.json'}: cannot be read or written (No space left on device)"
-    )
+    assert reason_and_report(told.value)[0] == f"{kept}: cannot be read or written (No space left on device)"
     assert list(tmp_path.iterdir()) == []
 
 
@@ -388,10 +359,9 @@ def test_another_build_does_the_work_again_and_says_so(place, monkeypatch):
 
 
 def test_two_drivers_do_not_share_a_folder(tmp_path):
-    with locked(tmp_path), pytest.raises(ConfigError, match=f"at work here .process {os.getpid()}"), locked(tmp_path):
-        pass
-    with locked(tmp_path):
-        pass
+    for _ in range(2):
+        with locked(tmp_path), pytest.raises(ConfigError, match=f"at work here .process {os.getpid()}"):
+            locked(tmp_path).__enter__()
 
 
 def processes_with(mark: str) -> list[Path]:

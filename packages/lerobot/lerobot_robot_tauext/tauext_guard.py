@@ -8,19 +8,15 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 from tauext_lerobot.frames import ServoFrames, bare_name
 from tauext_lerobot.guard import Guard, GuardEvent, load_guard
 from tauext_lerobot.guard_limits import Limits
 
 from lerobot_robot_tauext.config_tauext_guard import TauextGuardConfig
 from lerobot_robot_tauext.wrapping import Wrapping
-from tauext import _core
 from tauext.errors import TauextError
 
 logger = logging.getLogger(__name__)
-LEAST_PERIOD = 0.8
-"""Share of the bundle's period before which an observation is not used: a loop may be up to four times as fast."""
 
 
 class TauextGuard(Wrapping):
@@ -40,10 +36,9 @@ class TauextGuard(Wrapping):
         self._goals = self.goal_names
         joints = [name.removesuffix(".pos") for name in self._goals]
         self._added = {f"{joint}.{signal}" for signal in self.signals for joint in joints}
-        self._names = [f"observation.state[{key}]" for key in (*self.floats, *sorted(self._added))]
-        self._names += [f"goal[{key}]" for key in self._goals]
-        self._frames = ServoFrames(bundle, arm, self._names, "the robot")
-        self._input, self._guard = _core.ServoInput(bundle.servo), Guard(bundle, settings)
+        names = self.names_of((*self.floats, *sorted(self._added)))
+        self._frames = ServoFrames(bundle, arm, names, "the robot")
+        self._guard = Guard(bundle, settings)
         self._period_ns = bundle.observer.sample_period_ns
         self._rate_rule = f"the loop must run at {1e9 / self._period_ns:g} Hz, or at two to four times that"
         keys = {joint: f"{bare_name(name)}.pos" for joint, name in zip(arm.robot.joints, arm.names, strict=True)}
@@ -71,7 +66,6 @@ class TauextGuard(Wrapping):
         logger.info("tauext guard: %g Hz%s", 1e9 / self._period_ns, self.requests)
 
     def _forget(self) -> None:
-        self._input.reset()
         self._frames.restart()
         self._limits.end()
         self._sent: dict[str, float] = {}
@@ -84,20 +78,17 @@ class TauextGuard(Wrapping):
         t_ns = time.monotonic_ns()
         observation = self.observed()
         self._positions |= {key: float(observation[key]) for key in self._goals if math.isfinite(observation[key])}
-        if self._last_ns is None or t_ns - self._last_ns >= LEAST_PERIOD * self._period_ns:
+        # A loop may be up to four times as fast as the bundle: observations between its periods are not used.
+        if self._last_ns is None or t_ns - self._last_ns >= 0.8 * self._period_ns:
             self._last_ns = t_ns
             self._react(self._events(t_ns, observation))
         return {key: value for key, value in observation.items() if key not in self._added}
 
     def _events(self, t_ns: int, observation: Mapping[str, Any]) -> list[GuardEvent]:
         """Events of this observation; none where it cannot be used, which the log states once."""
-        values = {f"observation.state[{key}]": value for key, value in observation.items()}
-        values |= {f"goal[{key}]": self._sent.get(key, observation[key]) for key in self._goals}
-        row = np.array([[values[name] for name in self._names]], dtype=np.float32).astype(np.float64)
+        values = self.numbers(observation, {key: self._sent.get(key, observation[key]) for key in self._goals})
         try:
-            signals = {key: rows[0] for key, rows in self._frames.signals(np.array([t_ns]), row).items()}
-            q = signals.pop("q")
-            return self._guard.step(t_ns, q, *self._input.step(t_ns, q, **signals))
+            return self._guard.step(t_ns, *self._frames.sample(t_ns, values))
         except TauextError as error:  # the guard must not end the program that it guards
             if str(error) != self._refused:
                 self._refused = str(error)

@@ -17,8 +17,6 @@ from lerobot_robot_tauext.programs import FEELING
 from lerobot_robot_tauext.torque_ports import torque_port
 from tauext.errors import ConfigError
 
-FIRST_DT_S = 0.02
-"""Assumed length of the first tick, whose torque is at most one slew step."""
 UNITS = {"deg": math.pi / 180, "rad": 1.0}
 
 
@@ -46,21 +44,10 @@ class TauextLeader(Teleoperator):
         self._observed_s: float | None = None
         self._radians: dict[str, float] = {}
 
-    @property
-    def action_features(self) -> dict:
-        return self.leader.action_features
-
-    @property
-    def feedback_features(self) -> dict:
-        return {f"{joint}.tau_ext": float for joint in self._joints}
-
-    @property
-    def is_connected(self) -> bool:
-        return self.leader.is_connected
-
-    @property
-    def is_calibrated(self) -> bool:
-        return self.leader.is_calibrated
+    action_features = property(lambda self: self.leader.action_features)
+    feedback_features = property(lambda self: {f"{joint}.tau_ext": float for joint in self._joints})
+    is_connected = property(lambda self: self.leader.is_connected)
+    is_calibrated = property(lambda self: self.leader.is_calibrated)
 
     def calibrate(self) -> None:
         self.leader.calibrate()
@@ -117,7 +104,8 @@ class TauextLeader(Teleoperator):
 
     def _step(self, tau_ext: np.ndarray, sigma: np.ndarray, healthy: bool = True) -> dict[str, float]:
         now = time.monotonic()
-        dt_s = FIRST_DT_S if self._stepped_s is None else max(now - self._stepped_s, 1e-4)
+        # A first tick of 20 ms: its torque is at most one slew step.
+        dt_s = 0.02 if self._stepped_s is None else max(now - self._stepped_s, 1e-4)
         self._stepped_s = now
         torque = self._feedback.step(tau_ext, sigma, self._q, dt_s, healthy)
         sent = dict(zip(self._joints, torque.tolist(), strict=True))

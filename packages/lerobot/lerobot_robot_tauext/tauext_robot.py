@@ -37,19 +37,16 @@ class Tauext(Wrapping):
         self.config = config
         self._bundle = tauext.load_bundle(config.bundle)
         arm = load_arm(config.arm)
-        goals = self.goal_names
         clips = getattr(config.wrapped, "max_relative_target", None) is not None
-        self._goal_names = {key: f"{key.removesuffix('.pos')}.goal" for key in goals}
+        self._goal_names = {key: f"{key.removesuffix('.pos')}.goal" for key in self.goal_names}
         self._records_goal = config.on_collision != "none" or clips
         held = self.floats
         self.read_also(arm)
         self._elements = element_names(arm.names)
-        names = [f"observation.state[{key}]" for key in (*held, *self._own_features) if key not in self._elements]
-        names += [f"goal[{key}]" for key in goals]
+        names = self.names_of(key for key in (*held, *self._own_features) if key not in self._elements)
         rate_hz = 1e9 / self._bundle.observer.sample_period_ns
         self._fps = round(rate_hz) if abs(rate_hz / round(rate_hz) - 1) < 0.01 else rate_hz
         self._labeller = FrameLabeller(self._bundle, arm, names, self._fps)
-        self._names = names
         self._hold = Hold(config.resume_within)
         self._touching = self._stopped = False
         self._sent: dict[str, float] = {}
@@ -102,9 +99,7 @@ class Tauext(Wrapping):
         goals: dict[str, Any] = {key: sent.get(key, observation[key]) for key in self._goal_names}
         if self._records_goal:
             observation |= {self._goal_names[key]: float(np.float32(goal)) for key, goal in goals.items()}
-        values = {f"observation.state[{key}]": value for key, value in observation.items()}
-        values |= {f"goal[{key}]": goal for key, goal in goals.items()}
-        labels = self._labeller.step({name: values[name] for name in self._names})
+        labels = self._labeller.step(self.numbers(observation, goals))
         observation |= dict(zip(self._elements, labels.columns[0].tolist(), strict=True))
         self._react(observation, bool(labels.collision[0] == 1.0))
         return observation
@@ -128,11 +123,7 @@ class Tauext(Wrapping):
         """Send the goals, or the held position in their place; returns what was sent."""
         if self._stopped:
             raise CollisionStop("the arm collided and is stopped; check it, then connect again")
-        if self.config.on_collision == "none":
-            sent = self._send(action)
-        else:
-            sent = self._send(self._hold.passed(action, self._touching))
-        return sent
+        return self._send(action if self.config.on_collision == "none" else self._hold.passed(action, self._touching))
 
     def _send(self, action: dict[str, Any]) -> dict[str, Any]:
         sent = self.robot.send_action(action)

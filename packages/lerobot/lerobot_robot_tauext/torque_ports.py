@@ -15,14 +15,6 @@ AMPERE_A_COUNT = {name: ampere for name, ampere in DYNAMIXEL.models.values() if 
 """Unit of Goal Current, [A]: that of the current. Servos that measure none have no current mode."""
 NM_PER_AMPERE = {"xl330-m077": 0.215 / 1.47, "xm540-w270": 10.6 / 4.4}
 """Stall torque over stall current of the e-Manual, at 5 and 12 V. SERVO_TYPES has priority."""
-WATCHDOG_COUNTS = 10
-"""Watchdog of a Dynamixel, in units of 20 ms: without packets for this long it stops."""
-WATCHDOG_S = 0.1
-"""Pause after which the watchdog is reset, [s]: half its time."""
-TAKE = (
-    "koch_leader and omx_leader (Dynamixel, by current), openarm_leader (Damiao), and any with <joint>.torque among "
-    "its feedback_features"
-)
 
 PerJoint = float | Mapping[str, float] | None
 
@@ -90,10 +82,10 @@ class DynamixelPort:
 
     def write(self, torque_nm: dict[str, float]) -> None:
         now = self._now()
-        if self._written_s is None or now - self._written_s > WATCHDOG_S:
+        if self._written_s is None or now - self._written_s > 0.1:  # half the watchdog's time
             for joint in self.joints:  # a triggered watchdog refuses goals until it is set to 0
                 self._bus.write("Bus_Watchdog", joint, 0)
-                self._bus.write("Bus_Watchdog", joint, WATCHDOG_COUNTS)
+                self._bus.write("Bus_Watchdog", joint, 10)  # units of 20 ms: without packets for so long it stops
         counts = {joint: round(value * self._counts_a_nm[joint]) for joint, value in torque_nm.items()}
         self._bus.sync_write("Goal_Current", counts, normalize=False)
         self._written_s = now
@@ -149,7 +141,10 @@ def torque_port(leader: Any, joints: list[str], nm_per_ampere: PerJoint) -> Torq
     if kind == "DamiaoMotorsBus" and hasattr(bus, "_mit_control_batch"):
         return DamiaoPort(bus, _chosen(leader, joints, list(bus.motors)))
     why = "its servos accept positions, not torque" if kind == "FeetechMotorsBus" else "it has no motors that accept it"
-    raise ConfigError(f"leader {leader.name} cannot take torque: {why}; leaders that can: {TAKE}")
+    raise ConfigError(
+        f"leader {leader.name} cannot take torque: {why}; leaders that can: koch_leader and omx_leader (Dynamixel, by "
+        "current), openarm_leader (Damiao), and any with <joint>.torque among its feedback_features"
+    )
 
 
 def _chosen(leader: Any, joints: list[str], there: list[str]) -> tuple[str, ...]:

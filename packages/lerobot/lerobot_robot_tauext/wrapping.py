@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
 from typing import Any
 
@@ -69,41 +70,29 @@ class Wrapping(Robot):
         """Numbers in the wrapped robot's observation; images are left out."""
         return [key for key, kind in self.robot.observation_features.items() if kind is float]
 
-    @property
-    def observation_features(self) -> dict[str, Any]:
-        """Those of the wrapped robot."""
-        return self.robot.observation_features
+    def names_of(self, observed: Iterable[str]) -> list[str]:
+        """Names of the importer for observed numbers and for the goals."""
+        return [f"observation.state[{key}]" for key in observed] + [f"goal[{key}]" for key in self.goal_names]
 
-    @property
-    def action_features(self) -> dict[str, Any]:
-        """Those of the wrapped robot."""
-        return self.robot.action_features
+    @staticmethod
+    def numbers(observation: Mapping[str, Any], goals: Mapping[str, Any]) -> dict[str, Any]:
+        """An observation and the goals under these names."""
+        values = {f"observation.state[{key}]": value for key, value in observation.items()}
+        return values | {f"goal[{key}]": goal for key, goal in goals.items()}
 
-    @property
-    def cameras(self) -> dict[str, Any]:
-        """Those of the wrapped robot."""
-        return getattr(self.robot, "cameras", {})
-
-    @property
-    def is_connected(self) -> bool:
-        """See the wrapped robot."""
-        return self.robot.is_connected
-
-    @property
-    def is_calibrated(self) -> bool:
-        """See the wrapped robot."""
-        return self.robot.is_calibrated
+    observation_features = property(lambda self: self.robot.observation_features)
+    action_features = property(lambda self: self.robot.action_features)
+    cameras = property(lambda self: getattr(self.robot, "cameras", {}))
+    is_connected = property(lambda self: self.robot.is_connected)
+    is_calibrated = property(lambda self: self.robot.is_calibrated)
 
     def connect(self, calibrate: bool = True) -> None:
-        """See the wrapped robot."""
         self.robot.connect(calibrate)
 
     def calibrate(self) -> None:
-        """See the wrapped robot."""
         self.robot.calibrate()
 
     def configure(self) -> None:
-        """See the wrapped robot."""
         self.robot.configure()
 
     def disconnect(self) -> None:

@@ -32,8 +32,6 @@ from tauext_lerobot.drive_signal import LEAST_VISITS, motion_of, unsigned_visits
 
 WIDEST_RAD = 0.045
 """Largest detectable play, [rad]. Play beyond 2.6 degrees is a defect, and gravity differs across it."""
-LOOKED_RAD = 2.0 * WIDEST_RAD
-"""Travel used before and after a reversal."""
 LEAST_TRAVEL_RAD = 0.03
 """Least travel of the motion before and after a reversal."""
 FINEST_RAD = 5e-4
@@ -42,24 +40,13 @@ BENDS_RAD = (0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064)
 """Travel over which the load is carried again."""
 LEAST_ROWS = 5
 """Least number of different places before and after a reversal."""
-FINER = 4
-"""Parts of a place; a shape is constant within each."""
 GROUPS = 10
 """Groups of reversals; each is left out once to estimate the error."""
 LEAST_TURNS, MOST_TURNS = 8, 300
 """Most reversals used for a width; of more, evenly spaced ones."""
-LEAST_COUNTS = 2.0
-"""Least width in encoder steps: less is rounding."""
-CERTAIN = 3.0
-"""Least width in standard errors."""
 CERTAIN_FLAT, FLAT = 2.5, 0.75
 """Play has a flat. Standard errors by which a flat must fit better than any bend without one, and its least length as a
 share of half the bend. A bend smoothed by rounding and sampling has a flat of a half."""
-OUTLYING = 4.0
-"""Robust standard deviations beyond which rows are left out, as of joints that stick and slip."""
-LEAST_SHARE = 0.1
-"""Least share of the friction that is absent within the play; less is a ripple."""
-FASTEST_HZ = 250.0
 
 
 @dataclass(frozen=True)
@@ -119,7 +106,8 @@ def play_of(recordings: Sequence[Recording], j: int) -> Play:
     bent = int(np.argmin(np.where(shapes.flat == 0, squares, np.inf)))
     kept = _weights(total[bent])
     saved = np.array([_left(products[bent, g], kept) - _left(products[best, g], weights) for g in range(groups)])
-    significant = width_rad > max(LEAST_COUNTS * step_rad, CERTAIN * error_rad) and share > LEAST_SHARE
+    # Less than two encoder steps is rounding, less than a tenth of the friction a ripple.
+    significant = width_rad > max(2 * step_rad, 3 * error_rad) and share > 0.1
     flat = shapes.flat[best] > FLAT * bend_rad and saved.mean() * np.sqrt(groups) > CERTAIN_FLAT * saved.std(ddof=1)
     return Play(
         width_rad if significant and flat else 0.0,
@@ -150,7 +138,7 @@ def _drive(recording: Recording, j: int) -> np.ndarray | None:
 
 
 def _turns(recording: Recording, j: int, place_rad: float, step_rad: float) -> list[_Turn]:
-    thin = max(1, round(recording.rate_hz / FASTEST_HZ))
+    thin = max(1, round(recording.rate_hz / 250))
     drive = _drive(recording, j)
     if drive is None or recording.samples < 20 * thin:
         return []
@@ -162,7 +150,7 @@ def _turns(recording: Recording, j: int, place_rad: float, step_rad: float) -> l
     found = []
     for before, here, after in zip(ends, ends[1:], ends[2:], strict=False):
         way = np.sign(q[after] - q[here])
-        travel = min(LOOKED_RAD, abs(q[here] - q[before]), abs(q[after] - q[here]))
+        travel = min(2 * WIDEST_RAD, abs(q[here] - q[before]), abs(q[after] - q[here]))
         if travel < LEAST_TRAVEL_RAD:
             continue
         columns = []
@@ -247,7 +235,7 @@ class _Turns:
         self._first = np.r_[0, np.cumsum(sizes)[:-1]]
         self._size = sizes
         self._group_first = self._first[np.flatnonzero(np.diff(np.sort(groups), prepend=-1))]
-        self._fine_rad = place_rad / FINER
+        self._fine_rad = place_rad / 4  # a shape is constant within each quarter of a place
         self.columns = self._levelled(self.recorded.T)
 
     def _levelled(self, x: np.ndarray) -> np.ndarray:
@@ -278,10 +266,10 @@ class _Turns:
         return products
 
     def trimmed(self, weights: np.ndarray, shapes: _Shapes, k: int) -> list[_Turn]:
-        """Return the reversals without rows far from the fit."""
+        """Return the reversals without rows beyond four robust standard deviations: joints stick and slip."""
         missing = self._levelled(shapes.missing(self.since, k))
         rest = np.abs(self.columns[:, 0] - np.hstack([self.columns[:, 1:], missing]) @ weights)
-        near = rest < OUTLYING * 1.4826 * np.median(rest) + 1e-300
+        near = rest < 4 * 1.4826 * np.median(rest) + 1e-300
         parts = zip(np.split(self.since, self._first[1:]), np.split(self.recorded, self._first[1:], axis=1),
                     np.split(near, self._first[1:]), strict=True)  # fmt: skip
         return [_Turn(since[keep], values[:, keep]) for since, values, keep in parts if keep.sum() >= LEAST_ROWS]

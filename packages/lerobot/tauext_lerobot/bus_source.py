@@ -134,8 +134,8 @@ class BusSource(ReaderSource):
             self._missed = {}
 
 
-def shortest_period_ns(samples: Sequence[Sample], periods_ns: Sequence[int], arm: str, least_ns: float = 0.0) -> int:
-    """The shortest of the periods in which a reading fits twice.
+def shortest_period_ns(samples: Sequence[Sample], periods_ms: Sequence[float], arm: str, least_ns: float = 0.0) -> int:
+    """The shortest of the periods [ms] in which a reading fits twice.
 
     Args:
         samples: readings, whose median time from request to sample counts.
@@ -145,10 +145,10 @@ def shortest_period_ns(samples: Sequence[Sample], periods_ns: Sequence[int], arm
         AwayError: there is none.
     """
     reading_ns = max(least_ns, float(np.median([one.received_ns - one.t_ns for one in samples])))
-    for period_ns in periods_ns:
+    for period_ns in (round(ms * 1e6) for ms in periods_ms):
         if 2 * reading_ns <= period_ns:
             return period_ns
     raise AwayError(
         f"{arm}: a reading takes {reading_ns * 1e-6:.3g} ms, more than half of the longest period, "
-        f"{periods_ns[-1] * 1e-6:g} ms: set a higher baud rate, or put fewer motors on the bus"
+        f"{periods_ms[-1]:g} ms: set a higher baud rate, or put fewer motors on the bus"
     )

@@ -25,7 +25,6 @@ from tauext_lerobot.bus_source import TRIES, WAIT_S, BusSource, shortest_period_
 
 MOST_ID = 0x7FE
 """0x7FF addresses commands to all motors."""
-BAUD = 1_000_000
 BitRate = Annotated[int, within(1e4, 1e7)]
 Range = Annotated[float, within(1e-3, 1e4)]
 
@@ -73,7 +72,7 @@ class CanBus:
     joints: Annotated[dict[str, CanMotor], Rule(" [bus.joints.NAME] with id = 0x01, one or more", bool)]
     interface: Text = "socketcan"
     """Interface of python-can."""
-    baud: BitRate = BAUD
+    baud: BitRate = 1_000_000
     fd_baud: BitRate | None = None
     """Bit rate of the data of CAN FD frames, [bit/s]; None: classic CAN."""
     ask: bool = True
@@ -109,15 +108,8 @@ def can_bus(cell: Cell) -> CanBus:
 
 
 TO_ALL = 0x7FF
-STATE, REGISTER, WRITTEN, STORED = 0xCC, 0x33, 0x55, 0xAA
+STATE, REGISTER = 0xCC, 0x33
 """Third byte of a command to TO_ALL: request the state or a register. Commands that set a register are never sent."""
-RANGES = (21, 22, 23)
-"""Registers PMAX [rad], VMAX [rad/s], TMAX [N m]: ranges of the numbers in a state."""
-LAST_REGISTER = 81
-ANSWER_S = 0.02
-"""Longest delay of an answer, [s]."""
-PERIODS_NS = (1_000_000, 2_000_000, 5_000_000, 10_000_000, 20_000_000)
-"""Periods of which describe() takes one."""
 FAULTS = {
     0x8: "too high a voltage", 0x9: "too low a voltage", 0xA: "overcurrent", 0xB: "hot bridge", 0xC: "hot windings",
     0xD: "communication lost", 0xE: "overload",
@@ -139,19 +131,20 @@ class DamiaoSource(BusSource):
         self._channel, self._of_bus, self._path = channel, bus, path
         self._bus: Any = None
         self._motors: list[CanMotor] = []
-        self.answer_s = ANSWER_S
+        self.answer_s = 0.02
+        """Longest delay of an answer."""
 
     def find_out(self, wait_s: float, robot: Path | None) -> SourceFacts:
         """Time some readings; the period is the shortest usual one of at least twice a reading. With ask = false: learn
         the other program's."""
         joints, notes = chosen_joints(list(self._of_bus.joints), robot, self.name)
-        settings = SourceSettings(joints, PERIODS_NS[-1] if self._of_bus.ask else 1, ("N m",) * len(joints), "instant")
+        settings = SourceSettings(joints, 20_000_000 if self._of_bus.ask else 1, ("N m",) * len(joints), "instant")
         self._prepare(settings)
         self.settings = settings
         self.connect()
         samples = self.several(wait_s)
         if self._of_bus.ask:
-            period_ns = shortest_period_ns(samples, PERIODS_NS, self.name)
+            period_ns = shortest_period_ns(samples, (1, 2, 5, 10, 20), self.name)
         else:
             period_ns = learnt_period_ns([one.t_ns for one in samples], self.name)
         return SourceFacts(replace(settings, period_ns=period_ns), "torque", temperature=True, notes=notes)
@@ -268,8 +261,8 @@ class DamiaoSource(BusSource):
         if message is None or len(message.data) != 8:
             return None
         data = bytes(message.data)
-        if data[1] == 0 and data[2] in (REGISTER, WRITTEN, STORED) and data[3] <= LAST_REGISTER:
-            return None  # a register requested by another program, not a state
+        if data[1] == 0 and data[2] in (REGISTER, 0x55, 0xAA) and data[3] <= 81:
+            return None  # a register that another program has requested, written or stored, not a state
         k = self._which.get((message.arbitration_id, data[0] & 0xF))
         return None if k is None else (k, data)
 
@@ -278,7 +271,7 @@ class DamiaoSource(BusSource):
         if motor.ranges is not None:
             return list(motor.ranges)
         found = []
-        for register in RANGES:
+        for register in (21, 22, 23):  # PMAX [rad], VMAX [rad/s], TMAX [N m]: ranges of the numbers in a state
             for _ in range(TRIES):
                 self._send(motor, REGISTER, register)
                 if (value := self._register(motor, register)) is not None:

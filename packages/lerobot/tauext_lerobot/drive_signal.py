@@ -15,31 +15,8 @@ import numpy as np
 from tauext.check.sensors import position_step, step_of
 from tauext.data.recording import Recording
 
-AROUND_S = 0.1
-"""Time before and after a sample: a joint rests if its position stays constant for so long, else it moves."""
-PROBES = 11
-"""Number of positions checked in that time, since a joint may move away and come back."""
-MOVED_RAD = 0.004
-"""Least travel of a moving joint in that time; 12-bit encoders count 0.0015 rad."""
-LOW = 0.02
-"""Share of a signal's 99th percentile up to which it counts as zero ..."""
-HIGH = 0.2
-"""... and above which it has left zero again."""
 LEAST_VISITS = 10
 """Visits of zero during motion, without crossing, from which a signal is unsigned. A signed one crosses zero."""
-LEAST_REST = 100
-"""Fewest rows at rest for estimating a law."""
-BINS = 12
-"""Number of equally full bins of the position error; a law is fitted to their means."""
-STEPS_SEEN = 1.0
-"""Bin means below so many steps of the signal are rounding and left out."""
-SCATTER = 0.05
-"""Standard deviation of a bin's mean, as a share of it."""
-LEAST_BINS = 4
-SPREAD = 1.5
-"""Least ratio of the largest to the smallest bin's position error for estimating an exponent ..."""
-UNSURE = 0.25
-"""... and standard error above which the exponent is rejected."""
 
 
 @dataclass(frozen=True)
@@ -55,42 +32,54 @@ class RestLaw:
     rows: int
 
 
-def unsigned_visits(x: np.ndarray, moving: np.ndarray) -> int:
+def unsigned_visits(x: np.ndarray, moving: np.ndarray, zero: float = 0.02, left: float = 0.2) -> int:
     """Count how often a signal reaches zero during motion and continues on the same side; 0 for signed ones.
 
     Args:
         x: the signal of one joint, (samples,).
         moving: whether the joint moves, (samples,) bool.
+        zero: share of the signal's 99th percentile up to which it counts as zero.
+        left: share above which it has left zero again.
     """
     if x.min() < 0 < x.max() or not moving.any():
         return 0
     size = np.abs(x)
     top = float(np.percentile(size[moving], 99))
     step = step_of(x) or 0.0
-    low, high = size <= max(LOW * top, 0.5 * step), size > max(HIGH * top, 1.5 * step)
+    low, high = size <= max(zero * top, 0.5 * step), size > max(left * top, 1.5 * step)
     levels = np.where(high, 1, np.where(low & moving, -1, 0))
     levels = levels[levels != 0]
     return int(np.count_nonzero((levels[1:] == -1) & (levels[:-1] == 1)))
 
 
-def motion_of(recording: Recording, j: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows at which a joint moves and at which it rests, (samples,) bool each; some rows are neither."""
+def motion_of(
+    recording: Recording, j: int, around_s: float = 0.1, moved_rad: float = 0.004
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows at which a joint moves and at which it rests, (samples,) bool each; some rows are neither.
+
+    Args:
+        around_s: time before and after a row, [s]: a joint rests if its position stays constant for so long.
+        moved_rad: least travel of a moving joint in that time, [rad]; 12-bit encoders count 0.0015.
+    """
     q = recording.q[:, j]
-    around = max(1, round(AROUND_S * recording.rate_hz))
+    around = max(1, round(around_s * recording.rate_hz))
     moving, resting = np.zeros(len(q), dtype=bool), np.zeros(len(q), dtype=bool)
     if len(q) > 2 * around:
-        shifts = np.unique(np.linspace(0, 2 * around, PROBES).round().astype(int))
+        shifts = np.unique(np.linspace(0, 2 * around, 11).round().astype(int))  # a joint may move away and come back
         low = high = q[: len(q) - 2 * around]
         for shift in shifts[1:]:
             here = q[shift : len(q) - 2 * around + shift]
             low, high = np.minimum(low, here), np.maximum(high, here)
-        moving[around:-around] = np.abs(q[2 * around :] - q[: -2 * around]) > MOVED_RAD
+        moving[around:-around] = np.abs(q[2 * around :] - q[: -2 * around]) > moved_rad
         resting[around:-around] = high - low <= max(1.1 * (position_step(q) or 0.0), 1e-4)
     return moving, resting
 
 
 def rest_law(
-    signals: Sequence[np.ndarray], errors: Sequence[np.ndarray], resting: Sequence[np.ndarray]
+    signals: Sequence[np.ndarray],
+    errors: Sequence[np.ndarray],
+    resting: Sequence[np.ndarray],
+    most_error: float = 0.25,
 ) -> RestLaw | None:
     """Fit how a signal depends on goal minus position at rest; None where the error varies too little.
 
@@ -98,28 +87,29 @@ def rest_law(
         signals: of one joint, one a recording, (samples,).
         errors: goal minus position, as `signals`, [rad].
         resting: rows at rest, as `signals`, bool.
+        most_error: standard error of the exponent above which the law is rejected.
     """
     x = np.concatenate([s[rest] for s, rest in zip(signals, resting, strict=True)])
     e = np.concatenate([s[rest] for s, rest in zip(errors, resting, strict=True)])
-    if len(x) < LEAST_REST or not x.any():
+    if len(x) < 100 or not x.any():
         return None
     odd = bool(x.min() < 0 < x.max() and (x * np.sign(e)).mean() > 0.5 * np.abs(x).mean())
     size, order = np.abs(e), np.argsort(np.abs(e))
     step = step_of(np.concatenate(signals)) or 0.0
-    parts = [part for part in np.array_split(order, BINS) if len(part)]
+    parts = [part for part in np.array_split(order, 12) if len(part)]  # the law is fitted to the means of 12 bins
     at = np.array([np.median(size[part]) for part in parts])
     level = np.array([np.mean(np.abs(x[part])) for part in parts])
-    seen = (level > STEPS_SEEN * step) & (level < 0.9 * np.abs(x).max()) & (at > 0)
-    if seen.sum() < LEAST_BINS or at[seen].max() < SPREAD * at[seen].min():
+    seen = (level > step) & (level < 0.9 * np.abs(x).max()) & (at > 0)  # less than a step is rounding
+    if seen.sum() < 4 or at[seen].max() < 1.5 * at[seen].min():
         return None
-    scatter = np.sqrt(SCATTER**2 + (0.5 * step / level[seen]) ** 2)  # of the logarithm: friction's, and half a step
+    scatter = np.sqrt(0.05**2 + (0.5 * step / level[seen]) ** 2)  # of the logarithm: friction's 5 %, and half a step
     columns = np.column_stack([np.log(at[seen]), np.ones(seen.sum())]) / scatter[:, None]
     target = np.log(level[seen]) / scatter
     (exponent, offset), *_ = np.linalg.lstsq(columns, target, rcond=None)
     left = target - columns @ np.array([exponent, offset])
     wider = max(1.0, float(left @ left) / max(1, int(seen.sum()) - 2))
     error = float(np.sqrt(wider * np.linalg.inv(columns.T @ columns)[0, 0]))
-    if error > UNSURE:
+    if error > most_error:
         return None
     whole = 2 if exponent > 1.5 else 1
     gain = float(level[seen] @ at[seen] ** whole / (at[seen] ** whole @ at[seen] ** whole))

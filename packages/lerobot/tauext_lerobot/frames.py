@@ -22,7 +22,6 @@ from tauext_lerobot.lerobot_folder import frame_stamps
 # --- Labels of the frames of a LeRobot dataset.
 
 
-CONTACT_NAME, COLLISION_NAME = "contact", "collision"
 UNKNOWN = -1.0
 """contact and collision while there is no estimate: warming up, or a fault. tau_ext is 0 there, since a single NaN
 would make LeRobot's statistics NaN, and with them every policy normalised by these."""
@@ -68,14 +67,10 @@ def bare_name(element: str) -> str:
 
 def element_names(joints: Sequence[str]) -> list[str]:
     """Names of the labels' columns: `<joint>.tau_ext` of every joint as the dataset names it, contact, collision."""
-    return [*(f"{bare_name(joint)}.tau_ext" for joint in joints), CONTACT_NAME, COLLISION_NAME]
+    return [*(f"{bare_name(joint)}.tau_ext" for joint in joints), "contact", "collision"]
 
 
 # --- From numbers of LeRobot frames to signals in SI units, for a whole episode or one frame.
-
-
-MOST_RAD = 8 * math.pi
-"""Positions beyond four turns are in other units than described."""
 
 
 class ServoFrames:
@@ -106,7 +101,7 @@ class ServoFrames:
         wanted = {name: table for name, table in arm.signals.items() if name in used or name == "tau"}
         arm = replace(arm, signals=wanted, contact=ContactTable(), time=TimeTable())
         self.arm, self._bundle = arm, bundle
-        self._names = tuple(names)
+        self._names, self._input = tuple(names), _core.ServoInput(bundle.servo)
         self.restart()
         blank = RawSignals("", self._names, np.zeros(1, np.int64), np.zeros((1, len(self._names))))
         raw = RawRecording(where, Path(where), "LeRobot", lambda: iter((blank,)))
@@ -118,6 +113,7 @@ class ServoFrames:
     def restart(self) -> None:
         """Begin another episode with the next frame."""
         self._turns = Turns(settings_of(self._bundle), self._bundle)
+        self._input.reset()
 
     def signals(self, t_ns: np.ndarray, rows: np.ndarray) -> dict[str, np.ndarray]:
         """q [rad] without jumps of whole turns, and the other measured signals, (rows, joints) each.
@@ -133,7 +129,7 @@ class ServoFrames:
             key: np.ascontiguousarray(in_si(key, self.arm.signals[key], rows[:, places], self.arm))
             for key, places in self._places.items()
         }
-        far = np.abs(made["q"]) > MOST_RAD
+        far = np.abs(made["q"]) > 8 * math.pi  # four turns
         if far.any():
             row, joint = np.argwhere(far)[0]
             column, unit = self._places["q"][joint], self.arm.signals["q"].unit
@@ -144,6 +140,13 @@ class ServoFrames:
             )
         made["q"], goals = self._turns.rows(t_ns, made["q"], made.get("q_des"))
         return made if goals is None else made | {"q_des": goals}
+
+    def sample(self, t_ns: int, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """q, dq and tau, (joints,) each, of the next frame: as a monitor takes them. Raises as signals()."""
+        row = np.array([[values[name] for name in self._names]], dtype=np.float32).astype(np.float64)
+        signals = {key: rows[0] for key, rows in self.signals(np.array([t_ns]), row).items()}
+        q = signals.pop("q")
+        return q, *self._input.step(t_ns, q, **signals)
 
 
 # --- Labels of a robot's frames while they are recorded.
@@ -166,32 +169,22 @@ class FrameLabeller:
 
     def __init__(self, bundle: _core.Bundle, arm: Arm, names: Sequence[str], fps: float):
         expect_rate(bundle, fps)
-        self._frames = ServoFrames(bundle, arm, names, "the robot")
-        self._names = tuple(names)
-        self._input, self._monitor = _core.ServoInput(bundle.servo), _core.Monitor(bundle)
-        self._fps, self._frame = fps, 0
-
-    @property
-    def frame(self) -> int:
+        self._frames, self._monitor = ServoFrames(bundle, arm, names, "the robot"), _core.Monitor(bundle)
+        self._fps, self.frame = fps, 0
         """Frames since the last restart."""
-        return self._frame
 
     def restart(self) -> None:
         """Begin an episode with the next frame: reset the monitor, which warms up."""
-        self._input.reset()
         self._monitor.reset()
         self._frames.restart()
-        self._frame = 0
+        self.frame = 0
 
     def step(self, values: Mapping[str, float]) -> Labels:
         """Labels of the next frame, one row."""
-        row = np.array([[values[name] for name in self._names]], dtype=np.float32).astype(np.float64)
-        t_ns = int(frame_stamps(np.array([self._frame]), self._fps)[0])
-        signals = {key: rows[0] for key, rows in self._frames.signals(np.array([t_ns]), row).items()}
-        self._frame += 1
-        q = signals.pop("q")
-        dq, tau = self._input.step(t_ns, q, **signals)
-        verdict = self._monitor.step(t_ns, q, dq, tau)
+        t_ns = int(frame_stamps(np.array([self.frame]), self._fps)[0])
+        sample = self._frames.sample(t_ns, values)
+        self.frame += 1
+        verdict = self._monitor.step(t_ns, *sample)
         return labels_of(
             np.array([verdict.health.value]),
             np.array([verdict.held_alarm.value]),

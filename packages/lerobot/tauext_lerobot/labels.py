@@ -203,10 +203,6 @@ def put_stats(held: dict[str, list] | None, stats: Stats, places: Sequence[int],
 # --- The label stage.
 
 
-EPISODES_STATS_V2 = "meta/episodes_stats.jsonl"
-STATS = "meta/stats.json"
-
-
 @dataclass
 class LabelReport:
     """Counts of labelled frames."""
@@ -327,13 +323,13 @@ class Labelling:
                     table = self._episode_columns(pq.read_table(file))
                 file.unlink()
                 pq.write_table(table, file)
-        elif (file := part / EPISODES_STATS_V2).is_file():
+        elif (file := part / "meta/episodes_stats.jsonl").is_file():
             with self._read(part, file):
                 lines = [json_of(line) for line in read_text(file).splitlines() if line.strip()]
                 for line in lines:
                     self._put(line["stats"], self._stats[line["episode_index"]])
             _replace(file, "".join(json.dumps(line) + "\n" for line in lines))
-        if (file := part / STATS).is_file():
+        if (file := part / "meta/stats.json").is_file():
             with self._read(part, file):
                 stats = json_of(read_text(file))
                 self._put(stats, dataset_stats([self._stats[number] for number in self._folder.lengths]))

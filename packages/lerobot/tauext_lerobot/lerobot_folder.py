@@ -28,15 +28,9 @@ from tauext.files.plain_file import json_of, read_text
 INFO = "meta/info.json"
 MOST_ELEMENTS = 10_000
 """Most elements of a feature; no robot's state has more."""
-MOST_FRAMES, MOST_S = 1e9, 9e9
-"""Largest number of a frame, and time [s] that an int64 of nanoseconds holds."""
 VERSIONS = ("v3.0", "v2.1", "v2.0")
-NUMERIC = ("float", "int", "uint", "bool")
 FRAME, TIMESTAMP, OWN_STAMPS = "frame_index", "timestamp", "t_ns"
-EPISODES_V2 = "meta/episodes.jsonl"
 STATE, ACTION = "observation.state", "action"
-GOAL = "goal"
-"""Columns `goal[NAME]`: the goals that servos followed when the state of the same row was measured."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +64,8 @@ class LerobotFolder:
 
     def numeric(self, columns: list[str]) -> list[str]:
         """Numeric features among these columns."""
-        return [n for n, f in self.features.items() if n in columns and str(f["dtype"]).startswith(NUMERIC)]
+        kinds = ("float", "int", "uint", "bool")
+        return [n for n, f in self.features.items() if n in columns and str(f["dtype"]).startswith(kinds)]
 
     def names(self, feature: str, count: int) -> list[str]:
         """Names of a feature's elements; their indices if it has none.
@@ -137,7 +132,7 @@ def _listed(folder: LerobotFolder) -> Iterator[tuple[int, int]]:
         numbers = ds.dataset(files).to_table(columns=["episode_index", "length"]).to_pydict()
         yield from zip(numbers["episode_index"], numbers["length"], strict=True)
         return
-    for line in read_text(folder.path / EPISODES_V2).splitlines():
+    for line in read_text(folder.path / "meta/episodes.jsonl").splitlines():
         if line.strip():
             episode = json_of(line)
             yield episode["episode_index"], episode["length"]
@@ -233,7 +228,7 @@ def columns_of(folder: LerobotFolder, rows: pa.Table, counts: Counter[str] | Non
         element = name.removeprefix(f"{ACTION}[")[:-1]
         recorded = columns.get(f"{STATE}[{element.removesuffix('.pos')}.goal]")
         first = columns.get(f"{STATE}[{element}]", action)[:1]
-        goals[f"{GOAL}[{element}]"] = np.r_[first, action[:-1]] if recorded is None else recorded
+        goals[f"goal[{element}]"] = np.r_[first, action[:-1]] if recorded is None else recorded
     return columns | goals
 
 
@@ -286,7 +281,7 @@ def raw_episode(folder: LerobotFolder, number: int, files: list[Path] | None = N
                 t_ns = rows.column(OWN_STAMPS).to_numpy().astype(np.int64)
             else:
                 frames = columns.get(FRAME, np.arange(len(rows)))
-                if not (np.abs(frames) < MOST_FRAMES).all():
+                if not (np.abs(frames) < 1e9).all():
                     raise RecordingError(
                         f"{folder.path}: episode {number} has frames without a valid {FRAME}; copy it again"
                     )
@@ -303,8 +298,8 @@ def raw_episode(folder: LerobotFolder, number: int, files: list[Path] | None = N
 
 
 def _second_clock(timestamps: np.ndarray | None) -> np.ndarray | None:
-    """Stamps [ns] of timestamps [s]; None where they are missing or stand still."""
-    if timestamps is None or not (np.abs(timestamps) < MOST_S).all() or np.ptp(timestamps) <= 0:
+    """Stamps [ns] of timestamps [s]; None where they are missing, stand still or exceed an int64."""
+    if timestamps is None or not (np.abs(timestamps) < 9e9).all() or np.ptp(timestamps) <= 0:
         return None
     return np.round((timestamps - timestamps[0]) * 1e9).astype(np.int64) + round(float(timestamps[0]) * 1e9)
 

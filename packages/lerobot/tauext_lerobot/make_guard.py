@@ -28,19 +28,12 @@ LEAST_MINUTES = 5.0
 LEAST_MOTION_DEG = 2 * math.pi
 """Least range of the joint that moves farthest, [deg]. Radians that are declared as degrees never exceed it, since a
 servo covers one turn at most; usual motion of an arm exceeds it many times."""
-GRIPPER = "gripper"
 MOST_SHARE = 0.5
 """Share of the servo's stall torque that no joint holds in usual motion: LeRobot's Max_Torque_Limit of a gripper. A
 joint that holds more stalls."""
 GRIP_SHARE = 0.25
 """Share of the servo's stall torque that is declared where the data have no grip: LeRobot's Overload_Torque, to which
 an overloaded gripper falls."""
-MOVING_RAD_S = 0.2
-MOTION_SHARE, GRIP_FACTOR = 0.95, 2.0
-"""A gripper has gripped something if it held more torque at rest than so many times what this share of its motion
-needs. Friction alone lets it hold about as much as motion needs."""
-SO_ARMS = ("so100", "so101", "so_follower")
-"""Beginnings of LeRobot's robot types with STS3215 servos."""
 RAW = (("current", "A"), ("duty", "1"), ("voltage", "V"))
 """Signals that `--robot.type=tauext` records beside the position, and their units."""
 
@@ -147,7 +140,7 @@ def gripper_of(joints: Sequence[str], named: str | None) -> str:
         ConfigError: there is no joint of this name.
     """
     if named is None:
-        return GRIPPER if GRIPPER in joints else ""
+        return "gripper" if "gripper" in joints else ""
     if named not in (*joints, "none"):
         raise ConfigError(f"--gripper {named}: must be one of {', '.join(joints)}, or none")
     return "" if named == "none" else named
@@ -186,7 +179,7 @@ def described(sources: Sequence[Path], normalised: bool) -> str:
         if signal in measured:
             lines += ["", f"[signals.{signal}]", f'columns = "observation.state[{{joint}}.{signal}]"', f'unit = "{si}"']
     lines += ["", "[servo]", f'torque_from = "{torque_source(folder, state, measured)}"', "goal_delay_s = 0"]
-    if str(folder.info.get("robot_type", "")).startswith(SO_ARMS):
+    if str(folder.info.get("robot_type", "")).startswith(("so100", "so101", "so_follower")):
         lines.append('type = "sts3215-7.4v"')
     lines += ["", "[split]", f"train = {json.dumps([path.name for path in sources])}"]
     return "\n".join(lines) + "\n"
@@ -256,7 +249,7 @@ def learned(
         return GuardSettings(usual), [*notes, "no gripper: every stall is reported as one"]
     g = joints.index(gripper)
     if at_most_nm is None:
-        moving = [torque[np.abs(one.dq[:, g]) > MOVING_RAD_S, g] for torque, one in pairs]
+        moving = [torque[np.abs(one.dq[:, g]) > 0.2, g] for torque, one in pairs]
         at_most_nm, words = grip_of(float(held[g]), np.concatenate(moving), float(stall[g]))
         notes.append(f"{gripper}: {words}")
     notes.append(f"{gripper}: a grip of at most {at_most_nm:.3g} {units[g]} is declared; guard.toml sets it ([grip])")
@@ -282,7 +275,7 @@ def grip_of(held: float, moving: np.ndarray, stall: float) -> tuple[float, str]:
     Raises:
         ConfigError: nothing was gripped, and the servo's stall torque is unknown.
     """
-    gripped = len(moving) and held > GRIP_FACTOR * np.quantile(moving, MOTION_SHARE)
+    gripped = len(moving) and held > 2.0 * np.quantile(moving, 0.95)  # friction alone holds about as much as motion
     if gripped and held > MOST_SHARE * stall:
         return MOST_SHARE * stall, f"it stalls in the data ({held:.3g}); half of the servo's stall torque is used"
     if gripped:

@@ -20,9 +20,6 @@ from tauext_lerobot.servo_bus import ServoBus, ServoPort
 from tauext_lerobot.servo_bus_file import ServoBusFile, ServoJoint
 from tauext_lerobot.servo_series import Series
 
-PERIODS_NS = (5_000_000, 10_000_000, 20_000_000, 33_333_333, 50_000_000)
-"""Periods of which describe() takes the shortest in which a reading fits twice."""
-ON = b"\x01"
 COUNT_RAD = 2 * np.pi / COUNTS_A_TURN
 
 
@@ -85,7 +82,7 @@ class ServoSource(BusSource):
         self._identify()
         samples = self.several(wait_s)
         least_ns = self.bus.transaction_s(len(self._ids), self._series.state[1]) * 1e9
-        period_ns = shortest_period_ns(samples, PERIODS_NS, self.name, least_ns)
+        period_ns = shortest_period_ns(samples, (5, 10, 20, 33.333333, 50), self.name, least_ns)
         signal = self._series.current if self._series.current == "phase-current" else "duty"
         if not all(signal in self._identities[id_].reports for id_ in self._ids):
             signal = "duty"
@@ -144,7 +141,7 @@ class ServoSource(BusSource):
             on = self.bus.read(*torque, sorted(silent | unlike)).data
             present = self.bus.read(*position, list(on)).data
             silent -= present.keys()
-            goals = {id_: data for id_, data in present.items() if on[id_] == ON and self._identities[id_].holds}
+            goals = {id_: data for id_, data in present.items() if on[id_] == b"\x01" and self._identities[id_].holds}
             taken = {}
             if goals:
                 self.bus.write(*goal, goals)

@@ -18,11 +18,6 @@ from tauext.plugins import optional_library
 from tauext.sources.reader import Unreachable
 from tauext_lerobot.servo_series import Series
 
-BITS_A_BYTE = 10
-MEMORY = 1
-"""Major number of /dev/null and similar devices, which many processes have open."""
-ANSWER_S = 0.02
-"""Longest delay of answers beyond their time on the wire, [s]: an adapter holds bytes for up to 16 ms."""
 PORT_ERRORS: tuple[type[BaseException], ...] = (OSError,)
 with suppress(ImportError):  # on Windows, use the vendors' ports
     import fcntl
@@ -39,7 +34,8 @@ class ServoPort:
     The methods in camel case are called by the vendors' packet handlers.
     """
 
-    def __init__(self, path: str, baud: int, answer_s: float = ANSWER_S):
+    def __init__(self, path: str, baud: int, answer_s: float = 0.02):
+        """answer_s: longest delay of answers beyond their time on the wire: an adapter holds bytes for up to 16 ms."""
         self.path, self.baud, self.answer_s = path, baud, answer_s
         self.is_using = False
         """Flag that the vendors' packet handlers set."""
@@ -75,7 +71,7 @@ class ServoPort:
 
     def wire_s(self, count: int) -> float:
         """Time of `count` bytes on the wire, [s]."""
-        return count * BITS_A_BYTE / self.baud
+        return count * 10 / self.baud  # with start and stop bit
 
     def _claim(self) -> None:
         """Lock the port against other processes (except root), and request low latency where the driver supports it."""
@@ -119,7 +115,7 @@ def users_of(path: str) -> str:
     """Other processes that have the file open, as far as permissions show: `python3 (1234)`; empty: none."""
     with suppress(OSError):
         wanted = os.stat(path)
-        if os.major(wanted.st_rdev) == MEMORY:
+        if os.major(wanted.st_rdev) == 1:  # /dev/null and similar devices, which many processes have open
             return ""
         found = []
         for process in Path("/proc").glob("[0-9]*"):

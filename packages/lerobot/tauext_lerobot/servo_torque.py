@@ -17,10 +17,6 @@ from tauext_lerobot.drive_signal import LEAST_VISITS, RestLaw, motion_of, rest_l
 Kind = Literal["torque", "phase current", "duty", "unsigned", "supply current", "sign bit", "goal"]
 MADE_OF = {"phase_current": "current", "supply_current": "current", "duty": "duty"}
 """Signal from which a torque is computed, by [servo] torque_from."""
-SQUARE = 1.5
-"""Exponent at rest above which an unsigned signal is proportional to the square of the duty, else to the duty."""
-LEAST_LINEAR, MOST_LINEAR = 0.7, 1.4
-"""Exponents of a signal that is proportional: rounding of small values bends the line."""
 FOLLOWS = 0.9
 """Least share of a drive signal's variance in motion explained by position error and speed."""
 BACK_EMF = 0.15
@@ -31,8 +27,6 @@ ROUND = (1.0, 100.0, 1000.0)
 LEAST_STEP, MOST_STEP = 5e-4, 0.02
 """Steps of a duty's register, as shares of the full duty: Feetech's load counts thousandths, Dynamixel's PWM 1/885. A
 stiff arm's torque also follows the position error, but with other steps or none."""
-DRAWN = 5000
-"""Most points in a figure."""
 PILED = 20
 """Fewest rows at exactly the full duty for a saturated drive."""
 SIGN_BIT, FULL = 1024, 1000
@@ -139,7 +133,7 @@ def _plot(recordings: Sequence[Recording], j: int, effort: Effort) -> Plot | Non
         if r.q_des is not None
     ]
     points = np.concatenate(both, axis=1)
-    error, measured = points[:, :: max(1, points.shape[1] // DRAWN)]
+    error, measured = points[:, :: max(1, points.shape[1] // 5000)]
     line = np.linspace(error.min(), error.max(), 200)
     predicted = law.gain * np.abs(line) ** (2 if _is_square(effort) else 1) * (np.sign(line) if law.odd else 1.0)
     y_range = 1.1 * min(0.0, float(measured.min())), 1.1 * max(1e-9, float(measured.max()))
@@ -216,10 +210,10 @@ def _signal(tau: Sequence[np.ndarray], recordings: Sequence[Recording], j: int) 
         visits = sum(unsigned_visits(x, moves) for x, (moves, _) in zip(tau, motion, strict=True))
         if visits < LEAST_VISITS:
             return Effort("torque", visits)
-        square = law is not None and law.exponent > SQUARE
+        square = law is not None and law.exponent > 1.5  # the square of the duty, else the duty
         return Effort("supply current" if square else "unsigned", visits, law)
     full = next((f for f in ROUND if _piled(whole, f)), 0.0)
-    if law is None or not (law.odd and LEAST_LINEAR < law.exponent < MOST_LINEAR):
+    if law is None or not (law.odd and 0.7 < law.exponent < 1.4):  # rounding of small values bends the line
         return Effort("duty" if full else "torque", signed=True, full=full)
     share, explained = _speed_share(tau, recordings, j, errors, [moves for moves, _ in motion])
     if full or (explained > FOLLOWS and share < BACK_EMF and _is_share(whole)):

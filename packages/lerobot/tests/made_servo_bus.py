@@ -192,17 +192,8 @@ def servo_bundle(joints: int, limit_nm: float) -> _core.Bundle:
         link.joint_name, link.parent = NAMES[k], k - 1
         links.append(link)
     settings = servo_settings(joints)
-    signals = {"t_ns": np.arange(401) * settings.period_ns}
-    signals |= {signal: np.zeros((401, joints)) for signal in ("q", "dq", "tau")}
-    made = Recording(
-        name="still",
-        joints=NAMES[:joints],
-        **signals,
-        rate_hz=200.0,
-        torque_timing="instant",
-        source="",
-        robot_sha256="",
-    )
+    t_ns, still = np.arange(401) * settings.period_ns, np.zeros((401, joints))
+    made = Recording("still", NAMES[:joints], t_ns, still, still, still, 200.0, "instant", "", "")
     bundle = make_bundle("masses", build_setup(_core.Tree(links, [0, 0, 0]), made, ObserverConfig()), 0.02, made)
     bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [limit_nm] * joints
     bundle.servo = settings.servo
@@ -227,6 +218,15 @@ def taken(source, count: int, within_s: float = 20.0) -> list[Sample]:
             samples.append(sample)
     assert len(samples) == count, f"{len(samples)} of {count} samples; {source.counts}; {source.notes()}"
     return samples
+
+
+def first_notes(source) -> list[str]:
+    """The first notes of a source."""
+    told, until = [], time.monotonic() + 20.0
+    while not told and time.monotonic() < until:
+        source.next_sample(0.05)
+        told = source.notes()
+    return told
 
 
 def first_sample(source: ServoSource) -> Sample:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import struct
+from contextlib import contextmanager
 
 import pytest
 
@@ -31,6 +32,18 @@ def registers(position: int, load: int, volts: int, current: int) -> bytes:
     return struct.pack("<HHHBB", position, 0, load, volts, 30) + bytes(5) + struct.pack("<H", current)
 
 
+def read_at_once(bus, stub, values: dict[str, tuple[float, float]]) -> dict[str, float]:
+    """The position, read in one request with these values of pan and lift."""
+    block = BlockRead(bus, tuple(values))
+    assert block.in_one_transaction
+    with block.reading():
+        position = bus.sync_read("Present_Position")
+    assert stub.calls == 1
+    for signal, (pan, lift) in values.items():
+        assert block.values[signal] == pytest.approx({"pan": pan, "lift": lift})
+    return position
+
+
 @pytest.fixture
 def serial():
     port = mock_serial.MockSerial()
@@ -39,14 +52,21 @@ def serial():
     port.close()
 
 
-@pytest.fixture
-def bus(serial):
-    motors = {name: Motor(k + 1, "sts3215", MotorNormMode.DEGREES) for k, name in enumerate(("pan", "lift"))}
+@contextmanager
+def connected(serial, kind, model: str):
+    """LeRobot's bus of this kind with two motors."""
+    motors = {name: Motor(k + 1, model, MotorNormMode.DEGREES) for k, name in enumerate(("pan", "lift"))}
     calibration = {name: MotorCalibration(k + 1, 0, 0, 0, 4095) for k, name in enumerate(motors)}
-    bus = FeetechMotorsBus(serial.port, motors, calibration)
+    bus = kind(serial.port, motors, calibration)
     bus.connect(handshake=False)
     yield bus
     bus.disconnect(disable_torque=False)
+
+
+@pytest.fixture
+def bus(serial):
+    with connected(serial, FeetechMotorsBus, "sts3215") as bus:
+        yield bus
 
 
 def test_one_request_reads_all(serial, bus):
@@ -55,15 +75,9 @@ def test_one_request_reads_all(serial, bus):
     stub = serial.stub(receive_bytes=asked, send_bytes=answers)
     plain = packet(0xFE, 6, 0x82, 56, 2, 1, 2)
     serial.stub(receive_bytes=plain, send_bytes=status(1, b"\x00\x08") + status(2, b"\x00\x04"))
-    block = BlockRead(bus, ("duty", "current", "voltage"))
-    assert block.in_one_transaction
-    with block.reading():
-        position = bus.sync_read("Present_Position")
-    assert stub.calls == 1
+    values = {"duty": (0.3, -0.3), "current": (0.65, 0.0455), "voltage": (7.4, 7.3)}  # sign in bit 10
+    position = read_at_once(bus, stub, values)
     assert position == bus.sync_read("Present_Position") and position["pan"] == pytest.approx(0.5 * 360 / 4095)
-    assert block.values["duty"] == pytest.approx({"pan": 0.3, "lift": -0.3})  # sign in bit 10
-    assert block.values["current"] == pytest.approx({"pan": 0.65, "lift": 0.0455})
-    assert block.values["voltage"] == pytest.approx({"pan": 7.4, "lift": 7.3})
 
 
 def test_a_lost_answer_is_an_error_as_lerobot_has_it(serial, bus):
@@ -90,25 +104,13 @@ def test_one_request_reads_all_of_dynamixels(serial):
     pytest.importorskip("dynamixel_sdk")
     from lerobot.motors.dynamixel import DynamixelMotorsBus
 
-    motors = {name: Motor(k + 1, "xl330-m288", MotorNormMode.DEGREES) for k, name in enumerate(("pan", "lift"))}
-    calibration = {name: MotorCalibration(k + 1, 0, 0, 0, 4095) for k, name in enumerate(motors)}
-    bus = DynamixelMotorsBus(serial.port, motors, calibration)
-    bus.connect(handshake=False)
     asked = packet2(0xFE, 0x82, 124, 0, 22, 0, 1, 2)  # 124 to 145: PWM, current, velocity, position, ..., voltage
     held = [struct.pack("<hhiiiiH", 443, -120, 0, 2048, 0, 0, 50), struct.pack("<hhiiiiH", -885, 7, 0, 1024, 0, 0, 49)]
-    stub = serial.stub(
-        receive_bytes=asked, send_bytes=b"".join(packet2(k + 1, 0x55, 0, *data) for k, data in enumerate(held))
-    )
-    block = BlockRead(bus, ("duty", "current", "voltage"))
-    assert block.in_one_transaction
-    with block.reading():
-        position = bus.sync_read("Present_Position")
-    assert stub.calls == 1
+    answers = b"".join(packet2(k + 1, 0x55, 0, *data) for k, data in enumerate(held))
+    values = {"duty": (443 / 885, -1.0), "current": (-0.12, 0.007), "voltage": (5.0, 4.9)}
+    with connected(serial, DynamixelMotorsBus, "xl330-m288") as bus:
+        position = read_at_once(bus, serial.stub(receive_bytes=asked, send_bytes=answers), values)
     assert position == pytest.approx({"pan": 0.5 * 360 / 4095, "lift": -1023.5 * 360 / 4095})
-    assert block.values["duty"] == pytest.approx({"pan": 443 / 885, "lift": -1.0})
-    assert block.values["current"] == pytest.approx({"pan": -0.12, "lift": 0.007})
-    assert block.values["voltage"] == pytest.approx({"pan": 5.0, "lift": 4.9})
-    bus.disconnect(disable_torque=False)
 
 
 def test_servos_of_different_tables_get_a_request_a_register():

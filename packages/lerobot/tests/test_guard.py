@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import re
 from contextlib import redirect_stdout
 from dataclasses import replace
 from types import SimpleNamespace
@@ -125,9 +126,9 @@ def test_nan_is_reported_as_no_guard_and_never_as_a_stall(guarded, recordings, s
     first, last = 100, 100 + math.ceil((BLIND_S + 0.5) * 30)
     values[first:last, 1] = math.nan
     guard, events = Guard(*guarded), []
-    columns = {name: getattr(free, name) for name in ("q", "dq", "tau")} | {signal: values}
-    for k, t_ns in enumerate(free.t_ns.tolist()):
-        events += [(k, event) for event in guard.step(t_ns, *(columns[name][k] for name in ("q", "dq", "tau")))]
+    columns = {"q": free.q, "dq": free.dq, "tau": free.tau} | {signal: values}
+    for k, row in enumerate(zip(free.t_ns.tolist(), *columns.values(), strict=True)):
+        events += [(k, event) for event in guard.step(*row)]
     assert [event.kind for _, event in events] == ["blind", "guards"]
     (blind, event), (again, _) = events
     assert first + 30 * BLIND_S <= blind <= last and last <= again <= last + 45
@@ -209,14 +210,13 @@ def test_a_stalled_joint_keeps_its_share_of_the_way_until_it_is_commanded_back()
     one = limits()
     one.begin("elbow", 0.1, {"elbow.pos": 50.0}, {"elbow.pos": 10.0}, opens=False)
     assert one.passed({"elbow.pos": 60.0, "pan.pos": 3.0}, {"elbow.pos": 10.0}) == {"elbow.pos": 14.0, "pan.pos": 3.0}
-    assert one.passed({"elbow.pos": 60.0}, {"elbow.pos": 30.0}) == {
-        "elbow.pos": 34.0
-    }  # it yields: the goal moves along
-    assert one.passed({"elbow.pos": math.nan}, {"elbow.pos": 30.0}) == {"elbow.pos": 30.0}
-    assert one.passed({"elbow.pos": 5.0}, {"elbow.pos": 30.0}) == {
-        "elbow.pos": 5.0
-    }  # past the position, between two ticks
-    assert one.passed({"elbow.pos": 60.0}, {"elbow.pos": 30.0}) == {"elbow.pos": 60.0}
+    for goal, sent in (
+        (60.0, 34.0),  # it yields: the goal moves along
+        (math.nan, 30.0),
+        (5.0, 5.0),  # past the position, between two ticks
+        (60.0, 60.0),
+    ):
+        assert one.passed({"elbow.pos": goal}, {"elbow.pos": 30.0}) == {"elbow.pos": sent}
 
 
 @pytest.mark.parametrize("lacking", [{}, {"elbow.pos": math.nan}])
@@ -230,10 +230,8 @@ def test_a_goal_or_position_that_is_unknown_changes_nothing_unsafe(lacking):
 def test_an_opened_gripper_stays_open_until_it_is_commanded_to_open():
     one = limits("gripper.pos")
     one.begin("gripper", 0.5, {"gripper.pos": 0.0}, {"gripper.pos": 20.0}, opens=True)
-    for position in (20.0, 60.0, 99.0):
-        assert one.passed({"gripper.pos": 0.0}, {"gripper.pos": position}) == {"gripper.pos": 100.0}
-    assert one.passed({"gripper.pos": 25.0}, {"gripper.pos": 99.0}) == {"gripper.pos": 25.0}
-    assert one.passed({"gripper.pos": 0.0}, {"gripper.pos": 25.0}) == {"gripper.pos": 0.0}
+    for goal, position, sent in ((0, 20, 100), (0, 60, 100), (0, 99, 100), (25, 99, 25), (0, 25, 0)):
+        assert one.passed({"gripper.pos": goal}, {"gripper.pos": position}) == {"gripper.pos": sent}
 
 
 # --- The command.
@@ -290,9 +288,6 @@ def test_files_that_a_given_arm_toml_names_are_found_from_its_place_and_kept(mad
 def test_the_declared_grip_is_the_strongest_of_the_data_within_half_of_the_stall_torque(held, moving, stall, grip):
     samples = np.full(20, moving)[: 20 * math.isfinite(moving)]
     assert grip_of(held, samples, stall)[0] == pytest.approx(grip)
-
-
-def test_no_grip_and_no_stall_torque_is_refused():
     with pytest.raises(ConfigError, match="its stall torque is unknown: set --at-most-nm"):
         grip_of(0.1, np.full(20, 0.2), math.nan)
 
@@ -312,10 +307,7 @@ def test_a_stall_in_the_data_is_named(guarded, recordings):
         ("--source free --gripper claw", "--gripper claw: must be one of shoulder, elbow, gripper, or none"),
         ("--source free --at-most-nm 0", "at-most-nm = 0.0 must be > 0"),
         ("--source nothing", "nothing: is no LeRobot dataset"),
-        (
-            "--source log.csv",
-            "log.csv: is no LeRobot dataset (it has no meta/info.json); describe other recordings with",
-        ),
+        ("--source log.csv", "log.csv: is no LeRobot dataset (it has no meta/info.json); describe other recordings"),
         ("--source free --arm none.toml", "none.toml: there is no such file"),
         ("--source free --arm arm.toml --calibration c.json", "--calibration goes without --arm"),
         ("--source free --calibration c.json", "c.json: there is no such LeRobot calibration file"),
@@ -334,37 +326,36 @@ def test_bad_input_is_refused_in_one_line_and_nothing_is_left(words, error, tmp_
     assert not (tmp_path / "guard").exists() and not (tmp_path / "guard.part").exists()
 
 
-@pytest.mark.parametrize(
-    ("data", "declared", "refused"), [("rad", "deg", True), ("rad", "rad", False), ("deg", "deg", False)]
-)
-def test_radians_that_are_declared_as_degrees_are_refused(data, declared, refused, tmp_path):
-    """The arm moves by 42 degrees: 0.7 rad, and 0.7 degrees are less than the usual motion of any arm."""
-    factor = math.pi / 180 if data == "rad" else 1.0
-    episodes = [(factor * state, factor * action) for state, action in arms.episodes(range(1), 120)]
-    arms.write_dataset(tmp_path / "free", episodes, "v3.0", motors=MOTORS)
-    text = arms.ARM.replace("UNIT", declared).replace("wrist", "gripper")
-    (tmp_path / "arm.toml").write_text(f'{text}[split]\ntrain = ["free"]\n')
-    training = recorded(tmp_path / "free", tmp_path / "arm.toml")
-    if refused:
-        with pytest.raises(ConfigError, match=r"covers 0\.7\d deg, must be more than 6\.3 deg; .*check the unit of q"):
-            expect_motion(training, [tmp_path / "free"])
-    else:
-        expect_motion(training, [tmp_path / "free"])
+def write_radians(folder):
+    """An arm that moves by 42 degrees: 0.7 rad, and 0.7 degrees are less than the usual motion of any arm."""
+    episodes = [(state * math.pi / 180, action * math.pi / 180) for state, action in arms.episodes(range(2), 90)]
+    return arms.write_dataset(folder, episodes, "v3.0", motors=MOTORS)
 
 
 def test_the_command_writes_no_guard_of_radians_that_are_taken_for_degrees(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(make_guard, "LEAST_MINUTES", 0.0)
-    episodes = [(state * math.pi / 180, action * math.pi / 180) for state, action in arms.episodes(range(2), 90)]
-    arms.write_dataset(tmp_path / "free", episodes, "v3.0", motors=MOTORS)
+    write_radians(tmp_path / "free")
     assert main(f"guard --source {tmp_path / 'free'} --out {tmp_path / 'guard'}".split()) == 2
     printed = capsys.readouterr().err
-    assert "check the unit of q" in printed and printed.count("\n") == 1 and not (tmp_path / "guard").exists()
+    assert re.search(r"covers [01]\.\d+ deg, must be more than 6\.3 deg; .*check the unit of q", printed), printed
+    assert printed.count("\n") == 1 and not (tmp_path / "guard").exists()
 
 
-def info(folder, **changes):
+@pytest.mark.parametrize("unit", ["rad", "deg"])
+def test_motion_in_the_declared_unit_is_accepted(unit, tmp_path):
+    folder = write_radians(tmp_path / "free") if unit == "rad" else write_dataset(tmp_path / "free", range(2), 90)
+    text = arms.ARM.replace("UNIT", unit).replace("wrist", "gripper")
+    (tmp_path / "arm.toml").write_text(f'{text}[split]\ntrain = ["free"]\n')
+    expect_motion(recorded(folder, tmp_path / "arm.toml"), [folder])
+
+
+def info(folder, names=None, **changes):
+    """Change entries of a dataset, and names of elements by feature."""
     path = folder / "meta/info.json"
-    content = json.loads(path.read_text())
-    path.write_text(json.dumps(content | changes))
+    content = json.loads(path.read_text()) | changes
+    for feature, of_elements in (names or {}).items():
+        content["features"][feature]["names"] = of_elements
+    path.write_text(json.dumps(content))
 
 
 def test_the_description_follows_from_the_dataset(tmp_path):
@@ -381,19 +372,14 @@ def test_the_description_follows_from_the_dataset(tmp_path):
 def test_a_current_is_preferred_and_its_sign_names_its_kind(tmp_path, sign, source):
     state, action = arms.episodes(range(1), 60)[0]
     wide = np.hstack([state, np.abs(state) * sign]).astype(np.float32)
-    names = ["a.pos", "b.pos", "c.pos", "a.current", "b.current", "c.current"]
+    motors = ["a.pos", "b.pos", "c.pos"]
     folder = arms.write_dataset(tmp_path / "wide", [(wide, wide)], "v3.0", motors=("a", "b", "c", "d", "e", "f"))
-    content = json.loads((folder / "meta/info.json").read_text())
-    content["features"]["observation.state"]["names"] = names
-    content["features"]["action"]["names"] = ["a.pos", "b.pos", "c.pos", "x", "y", "z"]
-    (folder / "meta/info.json").write_text(json.dumps(content))
+    names = [*motors, "a.current", "b.current", "c.current"]
+    info(folder, {"observation.state": names, "action": [*motors, "x", "y", "z"]})
     text = described([folder], normalised=False)
-    assert (
-        f'torque_from = "{source}"' in text
-        and '[signals.current]\ncolumns = "observation.state[{joint}.current]"' in text
-    )
-    content["features"]["action"]["names"] = ["u", "v", "w", "x", "y", "z"]
-    (folder / "meta/info.json").write_text(json.dumps(content))
+    assert f'torque_from = "{source}"' in text
+    assert '[signals.current]\ncolumns = "observation.state[{joint}.current]"' in text
+    info(folder, {"action": ["u", "v", "w", "x", "y", "z"]})
     with pytest.raises(ConfigError, match="share no joint; describe the dataset with --arm"):
         described([folder], normalised=False)
 

@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from doc_pages import Page, parses
+from doc_pages import Page
 from tauext_lerobot.frames import FrameLabeller, element_names
 from tauext_lerobot.labels import label_dataset
 
@@ -59,9 +59,9 @@ def place(tmp_path_factory):
     return folder
 
 
-def labelled(place: Path, out: Path, version: str = "v3.0", **settings):
+def labelled(place: Path, out: Path, source: str | Path = "v3.0", **settings):
     bundle, arm = load_bundle(place / "arm.tauext"), load_arm(place / "arm.toml")
-    return label_dataset(place / version, bundle, arm, out, **settings)
+    return label_dataset(place / source, bundle, arm, out, **settings)
 
 
 def columns(path: Path) -> list[dict[str, np.ndarray]]:
@@ -109,12 +109,6 @@ def test_frame_by_frame_gives_the_same_bits(place, tmp_path):
             np.testing.assert_array_equal(said, np.float32(held))
 
 
-def test_a_goal_is_the_action_of_the_frame_before(place):
-    (first, *_) = columns(place / "v3.0")
-    action, state, goal = (first[f"{name}[elbow.pos]"] for name in ("action", "observation.state", "goal"))
-    np.testing.assert_array_equal(goal, np.r_[state[0], action[:-1]])
-
-
 @pytest.mark.parametrize("version", ["v3.0", "v2.1"])
 @pytest.mark.parametrize("into", ["state", "features"])
 def test_features_and_statistics_are_those_of_the_frames(place, tmp_path, version, into):
@@ -124,15 +118,12 @@ def test_features_and_statistics_are_those_of_the_frames(place, tmp_path, versio
     if into == "state":
         state = info["features"]["observation.state"]
         assert state["names"] == [f"{m}.pos" for m in arms.MOTORS] + ADDED and state["shape"] == [8]
-        feature, values = (
-            "observation.state",
-            [np.array([e[f"observation.state[{n}]"] for n in state["names"]]).T for e in held],
-        )
+        feature, names = "observation.state", state["names"]
     else:
         assert info["features"]["observation.state"]["shape"] == [3]
         assert info["features"]["observation.contact"] == {"dtype": "float32", "shape": [1], "names": None}
-        feature = "observation.tau_ext"
-        values = [np.array([e[f"{feature}[{n}]"] for n in arms.MOTORS]).T for e in held]
+        feature, names = "observation.tau_ext", arms.MOTORS
+    values = [np.array([e[f"{feature}[{name}]"] for name in names]).T for e in held]
     stats = stats_of(tmp_path / "out", feature)
     for own, of_episode in zip(values, stats, strict=True):
         np.testing.assert_allclose(of_episode["mean"], own.mean(0), atol=1e-5)
@@ -155,9 +146,8 @@ def stats_of(path: Path, feature: str) -> list[dict]:
 
 def test_values_from_minus_100_to_100_are_angles_by_the_calibration(place, tmp_path):
     """The same motion, stored otherwise: contacts are found where they are found in degrees."""
-    bundle = load_bundle(place / "arm.tauext")
+    bundle, arm = load_bundle(place / "arm.tauext"), load_arm(place / "normalised/arm.toml")
     labelled(place, tmp_path / "deg")
-    arm = load_arm(place / "normalised/arm.toml")
     label_dataset(place / "normalised/v3.0", bundle, arm, tmp_path / "normalised")
     name = "observation.state[contact]"
     for one, other in zip(columns(tmp_path / "deg"), columns(tmp_path / "normalised"), strict=True):
@@ -169,16 +159,17 @@ def test_values_from_minus_100_to_100_are_angles_by_the_calibration(place, tmp_p
 
 def test_labels_that_were_there_are_replaced_and_compared(place, tmp_path):
     first = labelled(place, tmp_path / "once")
-    again = label_dataset(
-        tmp_path / "once", load_bundle(place / "arm.tauext"), load_arm(place / "arm.toml"), tmp_path / "twice"
-    )
+    again = labelled(place, tmp_path / "twice", tmp_path / "once")
     assert first.held == 0 and again.held == again.equal == COUNT * FRAMES
     info = [json.loads((tmp_path / one / "meta/info.json").read_text()) for one in ("once", "twice")]
     assert info[0] == info[1]
 
 
-def test_a_recorded_goal_takes_the_place_of_the_action(place, tmp_path):
-    """Where the goal that was sent is another than the recorded action: clipped, or held after a collision."""
+def test_a_goal_is_the_action_of_the_frame_before_unless_one_is_recorded(place, tmp_path):
+    """A goal that was sent may be another than the recorded action: clipped, or held after a collision."""
+    (first, *_) = columns(place / "v3.0")
+    action, state, goal = (first[f"{name}[elbow.pos]"] for name in ("action", "observation.state", "goal"))
+    np.testing.assert_array_equal(goal, np.r_[state[0], action[:-1]])
     path = arms.write_dataset(tmp_path / "goals", arms.episodes(range(1), 60), "v3.0")
     file = path / "data/chunk-000/file-000.parquet"
     info = json.loads((path / "meta/info.json").read_text())
@@ -189,36 +180,25 @@ def test_a_recorded_goal_takes_the_place_of_the_action(place, tmp_path):
     np.testing.assert_array_equal(block["goal[elbow.pos]"], state[:, 2])
 
 
-def test_videos_stay_and_the_dataset_is_only_read(place, tmp_path):
-    before = {p: p.read_bytes() for p in sorted((place / "v3.0").rglob("*")) if p.is_file()}
-    labelled(place, tmp_path / "out")
-    assert before == {p: p.read_bytes() for p in sorted((place / "v3.0").rglob("*")) if p.is_file()}
-    video = "videos/observation.images.top/chunk-000/file-000.mp4"
-    assert (tmp_path / "out" / video).read_bytes() == (place / "v3.0" / video).read_bytes()
+def files_of(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-def test_a_video_that_is_a_link_is_copied(place, tmp_path):
+def test_the_dataset_is_only_read_and_a_video_that_is_a_link_is_copied(place, tmp_path):
     """What is written into the output must not reach a file outside the dataset."""
     source, outside = tmp_path / "linked", tmp_path / "outside.mp4"
     shutil.copytree(place / "v3.0", source)
-    video = "videos/observation.images.top/chunk-000/file-000.mp4"
+    videos = [f"videos/observation.images.{name}/chunk-000/file-000.mp4" for name in ("top", "side")]
     outside.write_bytes(b"mine")
-    (source / video).unlink()
-    (source / video).symlink_to(outside)
-    label_dataset(source, load_bundle(place / "arm.tauext"), load_arm(place / "arm.toml"), tmp_path / "out")
-    written = tmp_path / "out" / video
-    assert written.read_bytes() == b"mine" and not written.is_symlink()
-    assert outside.stat().st_nlink == 1 and outside.stat().st_ino != written.stat().st_ino
-
-
-def test_a_state_of_a_billion_elements_is_refused_at_once(place, tmp_path):
-    source = tmp_path / "wide"
-    shutil.copytree(place / "v3.0", source)
-    info = json.loads((source / "meta/info.json").read_text())
-    info["features"]["observation.state"]["shape"] = [10**9]
-    (source / "meta/info.json").write_text(json.dumps(info))
-    with pytest.raises(RecordingError, match="info.json: observation.state has 1,000,000,000 elements"):
-        label_dataset(source, load_bundle(place / "arm.tauext"), load_arm(place / "arm.toml"), tmp_path / "out")
+    (source / videos[1]).parent.mkdir(parents=True)
+    (source / videos[1]).symlink_to(outside)
+    before = files_of(source)
+    labelled(place, tmp_path / "out", source)
+    assert before == files_of(source)
+    plain, linked = (tmp_path / "out" / video for video in videos)
+    assert plain.read_bytes() == (source / videos[0]).read_bytes()
+    assert linked.read_bytes() == b"mine" and not linked.is_symlink()
+    assert outside.stat().st_nlink == 1 and outside.stat().st_ino != linked.stat().st_ino
 
 
 def test_an_interrupted_label_leaves_nothing(place, tmp_path, monkeypatch):
@@ -233,26 +213,22 @@ def test_an_interrupted_label_leaves_nothing(place, tmp_path, monkeypatch):
 
 def test_what_cannot_be_labelled_is_refused_in_words(place, tmp_path):
     bundle, arm = load_bundle(place / "arm.tauext"), load_arm(place / "arm.toml")
-    with pytest.raises(RecordingError, match="is no angle in rad: set the unit of .* to 'deg' or 'normalised'"):
-        label_dataset(place / "v3.0", bundle, parse_arm(arms.ARM.replace("UNIT", "rad")), tmp_path / "out")
-    with pytest.raises(ConfigError, match="is not empty"):
-        label_dataset(place / "v3.0", bundle, arm, place)
-    with pytest.raises(RecordingError, match="data: is not a LeRobot dataset: it has no meta/info.json"):
-        label_dataset(place / "data", bundle, arm, tmp_path / "out")
-    with pytest.raises(ConfigError, match="is inside the dataset"):
-        label_dataset(place / "v3.0", bundle, arm, place / "v3.0/labelled")
-    info = json.loads((place / "v3.0/meta/info.json").read_text())
-    slow = arms.write_dataset(tmp_path / "slow", arms.episodes(range(1), 60), "v3.0")
-    (slow / "meta/info.json").write_text(json.dumps(info | {"fps": 50}))
-    with pytest.raises(BundleError, match="runs at 30 Hz, these frames at 50"):
-        label_dataset(slow, bundle, arm, tmp_path / "out")
-    (slow / "meta/info.json").write_text(json.dumps(info | {"codebase_version": "v1.6"}))
-    with pytest.raises(RecordingError, match="version v1.6; v3.0, v2.1, v2.0 are read"):
-        label_dataset(slow, bundle, arm, tmp_path / "out")
+    out, whole = tmp_path / "out", place / "v3.0"
+    radians = parse_arm(arms.ARM.replace("UNIT", "rad"))
     other = parse_arm(arms.ARM.replace("UNIT", "deg").replace('"shoulder", "elbow"', '"elbow", "shoulder"'))
-    with pytest.raises(BundleError, match="is for joints shoulder, elbow, wrist"):
-        label_dataset(place / "v3.0", bundle, other, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
+    slow = arms.write_dataset(tmp_path / "slow", arms.episodes(range(1), 60), "v3.0")
+    (slow / "meta/info.json").write_text(json.dumps(json.loads((whole / "meta/info.json").read_text()) | {"fps": 50}))
+    for source, described_by, target, error, words in (
+        (whole, radians, out, RecordingError, "is no angle in rad: set the unit of .* to 'deg' or 'normalised'"),
+        (whole, arm, place, ConfigError, "is not empty"),
+        (place / "data", arm, out, RecordingError, "data: is not a LeRobot dataset: it has no meta/info.json"),
+        (whole, arm, whole / "labelled", ConfigError, "is inside the dataset"),
+        (slow, arm, out, BundleError, "runs at 30 Hz, these frames at 50"),
+        (whole, other, out, BundleError, "is for joints shoulder, elbow, wrist"),
+    ):
+        with pytest.raises(error, match=words):
+            label_dataset(source, bundle, described_by, target)
+    assert not out.exists()
 
 
 def test_the_command_counts(place, tmp_path, capsys):
@@ -268,35 +244,39 @@ def test_elements_are_called_as_a_wrapped_robot_calls_them():
     assert element_names(["elbow.pos", "wrist"]) == ["elbow.tau_ext", "wrist.tau_ext", "contact", "collision"]
 
 
-def rewritten(file: str, change):
-    def damage(folder: Path) -> None:
-        table = pq.read_table(folder / file)
-        pq.write_table(change(table), folder / file)
+def frames_with(change):
+    def damage(file: Path) -> None:
+        pq.write_table(change(pq.read_table(file)), file)
 
-    return file, damage
+    return damage
 
 
-def cut(file: str):
-    def damage(folder: Path) -> None:
-        (folder / file).write_bytes((folder / file).read_bytes()[:-20])
+def cut(file: Path) -> None:
+    file.write_bytes(file.read_bytes()[:-20])
 
-    return file, damage
+
+def wide(file: Path) -> None:
+    info = json.loads(file.read_text())
+    info["features"]["observation.state"]["shape"] = [10**9]
+    file.write_text(json.dumps(info))
 
 
 FRAMES_OF_TWO = "data/chunk-000/file-000.parquet"
 DAMAGE = {
-    "statistics cut off": (*cut("meta/stats.json"), "cannot be read"),
-    "frames cut off": (*cut(FRAMES_OF_TWO), "cannot be read"),
-    "episodes cut off": (*cut("meta/episodes/chunk-000/file-000.parquet"), "cannot be read"),
+    "statistics cut off": ("meta/stats.json", cut, "cannot be read"),
+    "frames cut off": (FRAMES_OF_TWO, cut, "cannot be read"),
     "no numbers of episodes": (
-        *rewritten(FRAMES_OF_TWO, lambda t: t.set_column(4, "episode_index", pa.nulls(len(t)))),
+        FRAMES_OF_TWO,
+        frames_with(lambda t: t.set_column(4, "episode_index", pa.nulls(len(t)))),
         "episode_index is not a whole number in every row",
     ),
     "columns described by no table": (
-        *rewritten(FRAMES_OF_TWO, lambda t: t.replace_schema_metadata({"huggingface": "[null]"})),
+        FRAMES_OF_TWO,
+        frames_with(lambda t: t.replace_schema_metadata({"huggingface": "[null]"})),
         "the description of its columns cannot be read",
     ),
-    "no frames": (*rewritten(FRAMES_OF_TWO, lambda t: t[:0]), "no data file holds frames of episode 0, 1"),
+    "no frames": (FRAMES_OF_TWO, frames_with(lambda t: t[:0]), "no data file holds frames of episode 0, 1"),
+    "a billion elements": ("meta/info.json", wide, "observation.state has 1,000,000,000 elements"),
 }
 
 
@@ -304,26 +284,16 @@ DAMAGE = {
 def test_a_damaged_dataset_is_refused_by_the_name_of_its_file(place, tmp_path, what):
     file, damage, told = DAMAGE[what]
     shutil.copytree(place / "v3.0", tmp_path / "damaged")
-    damage(tmp_path / "damaged")
+    damage(tmp_path / "damaged" / file)
     with pytest.raises(RecordingError, match=told) as refused:
-        label_dataset(
-            tmp_path / "damaged", load_bundle(place / "arm.tauext"), load_arm(place / "arm.toml"), tmp_path / "out"
-        )
-    assert what in ("no frames", "episodes cut off") or file in str(refused.value)
+        labelled(place, tmp_path / "out", tmp_path / "damaged")
+    assert what == "no frames" or file in str(refused.value)
     assert not (tmp_path / "out").exists() and not (tmp_path / "out.part").exists()
 
 
 PAGE = "quickstarts/lerobot.md"
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
-HERE = Path(__file__).parent.parent
-
-
-def test_every_command_of_the_page_is_accepted(monkeypatch):
-    commands = Page(PAGE).commands()
-    assert [words[0] for words in commands] == ["import", "check", "train", "label", "guard"]
-    for command in commands:
-        assert parses(command, monkeypatch), command
-    assert not parses(["label", "--dataset", "demos", "--bundles", "arm.tauext"], monkeypatch)
+HERE = Path(__file__).parents[1]
 
 
 @pytest.mark.parametrize("text", [Page(PAGE).text, (HERE / "README.md").read_text()])

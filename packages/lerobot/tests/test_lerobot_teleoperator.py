@@ -21,6 +21,7 @@ from lerobot_robot_tauext import TauextLeader, TauextLeaderConfig  # noqa: E402
 from lerobot_robot_tauext.programs import processors, teleoperate  # noqa: E402
 from lerobot_robot_tauext.tauext_leader import radians_a_unit  # noqa: E402
 from lerobot_robot_tauext.torque_ports import DamiaoPort, DynamixelPort, torque_port  # noqa: E402
+from mock_arm import Plug  # noqa: E402
 
 from tauext.errors import ConfigError  # noqa: E402
 
@@ -33,12 +34,10 @@ class FakeTorqueLeaderConfig(TeleoperatorConfig):
     joints: list[str] = field(default_factory=lambda: [*JOINTS, "gripper"])
 
 
-class FakeTorqueLeader(Teleoperator):
+class FakeTorqueLeader(Plug, Teleoperator):
     """Takes torque through its own send_feedback, and keeps it."""
 
     config_class, name = FakeTorqueLeaderConfig, "fake_torque_leader"
-    is_connected = False
-    is_calibrated = True
 
     def __init__(self, config):
         super().__init__(config)
@@ -52,23 +51,11 @@ class FakeTorqueLeader(Teleoperator):
     def feedback_features(self):
         return {f"{joint}.torque": float for joint in self.joints}
 
-    def connect(self, calibrate=True):
-        self.is_connected = True
-
-    def calibrate(self):
-        pass
-
-    def configure(self):
-        pass
-
     def get_action(self):
         return {f"{joint}.pos": self.q for joint in self.joints}
 
     def send_feedback(self, feedback):
         self.sent.append(feedback)
-
-    def disconnect(self):
-        self.is_connected = False
 
 
 @RobotConfig.register_subclass("fake_felt_robot")
@@ -77,11 +64,10 @@ class FakeFeltRobotConfig(RobotConfig):
     tau_ext: float = -2.0
 
 
-class FakeFeltRobot(Robot):
+class FakeFeltRobot(Plug, Robot):
     """Feels the same at every joint."""
 
     config_class, name = FakeFeltRobotConfig, "fake_felt_robot"
-    is_connected = is_calibrated = True
 
     def __init__(self, config):
         super().__init__(config)
@@ -95,24 +81,12 @@ class FakeFeltRobot(Robot):
     def action_features(self):
         return {f"{joint}.pos": float for joint in (*JOINTS, "gripper")}
 
-    def connect(self, calibrate=True):
-        pass
-
-    def calibrate(self):
-        pass
-
-    def configure(self):
-        pass
-
     def get_observation(self):
         return {key: self.config.tau_ext if key.endswith("tau_ext") else 0.0 for key in self.observation_features}
 
     def send_action(self, action):
         self.actions.append(action)
         return action
-
-    def disconnect(self):
-        pass
 
 
 @pytest.fixture
@@ -122,10 +96,8 @@ def leader(tmp_path, monkeypatch):
 
     clock = SimpleNamespace(now=100.0)
     monkeypatch.setattr(module.time, "monotonic", lambda: clock.now)
-    options = {"type": "fake_torque_leader", "calibration_dir": str(tmp_path)}
-    config = TauextLeaderConfig(
-        leader=options, calibration_dir=tmp_path, dead_band_nm=0.2, cap_nm=0.5, slew_nm_s=100.0, gain=1.0, tank_j=1.0
-    )
+    felt = {"dead_band_nm": 0.2, "cap_nm": 0.5, "slew_nm_s": 100.0, "gain": 1.0, "tank_j": 1.0}
+    config = wrapping(tmp_path, "fake_torque_leader", **felt)
     made = make_teleoperator_from_config(config)
     made.connect()
     made.tick = lambda seconds=0.02: setattr(clock, "now", clock.now + seconds)
@@ -133,15 +105,19 @@ def leader(tmp_path, monkeypatch):
     made.disconnect()
 
 
+def wrapping(tmp_path, kind: str, options: dict | None = None, **settings) -> TauextLeaderConfig:
+    """A tauext leader around one of a type."""
+    leader = {"type": kind, "calibration_dir": str(tmp_path)} | (options or {})
+    return TauextLeaderConfig(leader=leader, calibration_dir=tmp_path, **settings)
+
+
 def observation(tau: float, **more: float) -> dict[str, float]:
     return {f"{joint}.tau_ext": tau for joint in JOINTS} | {"contact": 0.0} | more
 
 
 def test_it_is_found_by_its_type_and_wraps_what_its_options_say(leader):
-    assert (
-        isinstance(leader, TauextLeader) and TeleoperatorConfig.get_choice_class("tauext_leader") is TauextLeaderConfig
-    )
-    assert isinstance(leader.leader, FakeTorqueLeader)
+    assert TeleoperatorConfig.get_choice_class("tauext_leader") is TauextLeaderConfig
+    assert isinstance(leader, TauextLeader) and isinstance(leader.leader, FakeTorqueLeader)
     assert leader.action_features == leader.leader.action_features
     assert leader.feedback_features == {f"{joint}.tau_ext": float for joint in JOINTS}  # no gripper
 
@@ -161,7 +137,6 @@ def test_its_own_standard_error_widens_the_dead_band(leader):
 
 
 def test_nan_silence_and_the_end_take_the_torque_away(leader):
-    leader.config.slew_nm_s = 100.0
     leader.get_action()
     assert leader.send_feedback(observation(0.5))["elbow"] == pytest.approx(0.3)
     leader.tick()
@@ -209,16 +184,14 @@ def test_leaders_that_cannot_feel_are_refused(options, said, tmp_path):
 
 
 def test_a_joint_that_is_not_there_is_refused(tmp_path):
-    options = {"type": "koch_leader", "port": "/dev/none", "calibration_dir": str(tmp_path)}
-    config = TauextLeaderConfig(leader=options, calibration_dir=tmp_path, joints=["knee"])
+    config = wrapping(tmp_path, "koch_leader", {"port": "/dev/none"}, joints=["knee"])
     with pytest.raises(ConfigError, match="has no motor 'knee'.*shoulder_pan"):
         TauextLeader(config)
 
 
 def koch_bus(tmp_path, written: list[bytes]):
     """The bus of a Koch leader whose port keeps what is written."""
-    options = {"type": "koch_leader", "port": "/dev/none", "calibration_dir": str(tmp_path)}
-    leader = TauextLeader(TauextLeaderConfig(leader=options, calibration_dir=tmp_path))
+    leader = TauextLeader(wrapping(tmp_path, "koch_leader", {"port": "/dev/none"}))
     bus = leader.leader.bus
     bus.port_handler.is_open = True
     bus.port_handler.clearPort = lambda: None
@@ -272,11 +245,7 @@ def test_positions_of_calibrated_ranges_become_radians():
     motors = {"a": ("range_m100_100", 1024, 3072), "b": ("range_0_100", 0, 2048), "c": ("degrees", 0, 4095)}
     bus = SimpleNamespace(
         motors={name: SimpleNamespace(norm_mode=mode, model="xl330-m077") for name, (mode, _, _) in motors.items()},
-        calibration={
-            name: SimpleNamespace(range_min=low, range_max=high)
-            for name, (_, low, high) in motors.items()
-            if name != "d"
-        },
+        calibration={name: SimpleNamespace(range_min=low, range_max=high) for name, (_, low, high) in motors.items()},
         model_resolution_table={"xl330-m077": 4096},
     )
     leader = SimpleNamespace(bus=bus)
@@ -290,8 +259,7 @@ def test_positions_of_calibrated_ranges_become_radians():
 def test_lerobots_own_loop_makes_the_leader_feel(tmp_path):
     from lerobot.scripts.lerobot_teleoperate import teleop_loop
 
-    options = {"type": "fake_torque_leader", "calibration_dir": str(tmp_path)}
-    config = TauextLeaderConfig(leader=options, calibration_dir=tmp_path, dead_band_nm=0.2, cap_nm=0.1, slew_nm_s=100.0)
+    config = wrapping(tmp_path, "fake_torque_leader", dead_band_nm=0.2, cap_nm=0.1, slew_nm_s=100.0)
     leader, robot = TauextLeader(config), FakeFeltRobot(FakeFeltRobotConfig(calibration_dir=tmp_path))
     leader.connect()
     step, robot_action, robot_observation = processors()

@@ -7,7 +7,6 @@ import os
 import struct
 import subprocess
 import sys
-import time
 from contextlib import closing
 from dataclasses import replace
 from types import SimpleNamespace
@@ -22,6 +21,7 @@ from made_servo_bus import (
     MadeServoBus,
     bus_file,
     crc16,
+    first_notes,
     first_sample,
     patient,
     servo_bundle,
@@ -57,7 +57,6 @@ PLACES = {
 RAD = 2 * math.pi / 4096
 WAIT_S = 20.0
 """For what must come, however busy the machine is."""
-XL330, XL430, XM430 = 1200, 1060, 1020
 
 
 class Servos(MadeServoBus):
@@ -119,15 +118,6 @@ def spoil(rig, readings: set[int], id_: int, how) -> None:
     rig.bus.sent = lambda one, packet: how(packet) if one == id_ and rig.bus.readings - 1 in readings else packet
 
 
-def first_notes(source) -> tuple[list[str], float]:
-    """The first notes of a source, and until when to wait for more."""
-    told, until = [], time.monotonic() + WAIT_S
-    while not told and time.monotonic() < until:
-        source.next_sample(0.05)
-        told = source.notes()
-    return told, until
-
-
 @pytest.mark.parametrize(
     "how",
     [
@@ -157,9 +147,8 @@ def test_a_reading_with_a_spoilt_packet_is_refused_and_counted_and_the_next_are_
 
 
 def test_a_packet_of_another_length_is_none_of_ours(rig):
-    """Its check is right, and it has a byte too few."""
     rig.source.bus.port.answer_s = 0.2
-    spoil(rig, {3}, 2, lambda packet: rig.bus.protocol.answer(2, 0, bytes(30)))
+    spoil(rig, {3}, 2, lambda packet: rig.bus.protocol.answer(2, 0, bytes(30)))  # a byte too few, its check right
     rig.open()
     taken(rig.source, 4)
     rig.source.close()
@@ -198,13 +187,12 @@ def test_a_servo_that_drops_out_is_named_and_waited_for(rig):
     taken(rig.source, 2)
     before = rig.source.counts.received
     rig.bus.sent = lambda one, packet: b"" if one == 2 else packet
-    told, until = first_notes(rig.source)
+    told = first_notes(rig.source)
     assert told[0] == "servo 2 (lift) does not answer: no sample until it does"
     assert rig.source.counts.refused >= REPORTED_AFTER and not rig.source.ended
     patient(rig.source)
     rig.bus.sent = lambda one, packet: packet
-    while rig.source.counts.received < before + 5 and time.monotonic() < until:
-        rig.source.next_sample(0.05)
+    taken(rig.source, before + 5 - rig.source.counts.received)
     assert any("servo 2 (lift) answers again, after " in text for text in told + rig.source.notes())
 
 
@@ -213,10 +201,8 @@ def test_a_port_that_goes_is_reported_and_waited_for(rig, monkeypatch):
     rig.open()
     taken(rig.source, 2)
     rig.bus.close()
-    told, until = first_notes(rig.source)
-    assert told[0].startswith(f"{rig.source.name} is disconnected: the port is lost: ") and told[0].endswith(
-        "; reconnecting"
-    )
+    (told, *_) = first_notes(rig.source)
+    assert told.startswith(f"{rig.source.name} is disconnected: the port is lost: ") and told.endswith("; reconnecting")
     assert not rig.source.ended
 
 
@@ -247,37 +233,27 @@ def test_another_servo_or_another_arm_is_refused(rig):
 
 
 def test_what_the_bundle_cannot_take_is_refused(rig):
-    with pytest.raises(ConfigError, match="joint 'pan' of the bundle is missing; the file has other"):
-        rig.source._file, kept = bus_file(ServoJoint("other", 1)), rig.source._file
-        rig.open()
-    rig.source._file = kept
-    with pytest.raises(
-        ConfigError, match="a reading of 3 servos takes 1.. ms at 1000000 baud, the bundle needs one every 1"
-    ):
-        rig.open(period_ns=1_000_000)
     settings = servo_settings(3)
-    with pytest.raises(
-        ConfigError, match=r"the bundle does not compute torque from them: import its recordings with a \[servo\]"
+    for refused, message in (
+        (replace(settings, joints=("other", *settings.joints)), "joint 'other' of the bundle is missing; the file has"),
+        (replace(settings, period_ns=1_000_000), "3 servos takes 1.. ms at 1000000 baud, the bundle needs one every 1"),
+        (replace(settings, servo=None), r"does not compute torque from them: import its recordings with a \[servo\]"),
+        (servo_settings(3, "torque"), "the bundle takes its torque from torque$"),
     ):
-        rig.source.open(type(settings)(settings.joints, settings.period_ns))
-    with pytest.raises(ConfigError, match="the bundle takes its torque from torque$"):
-        rig.open(torque_from="torque")
+        with pytest.raises(ConfigError, match=message):
+            rig.source.open(refused)
     assert isinstance(rig.source, Stoppable)
 
 
 def test_a_port_that_another_process_has_is_refused(rig):
-    script = (
-        f"import os, sys; os.open({rig.bus.port!r}, os.O_RDWR | os.O_NOCTTY); print(1, flush=True); sys.stdin.read()"
-    )
-    other = subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    try:
+    opens = f"os.open({rig.bus.port!r}, os.O_RDWR | os.O_NOCTTY)"
+    script = f"import os, sys; {opens}; print(1, flush=True); sys.stdin.read()"
+    with subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
         other.stdout.readline()
-        with pytest.raises(
-            ConfigError, match=rf"the port is in use by another process: python\S* \({other.pid}\); a bus serves one"
-        ):
+        process = rf"python\S* \({other.pid}\)"
+        with pytest.raises(ConfigError, match=f"the port is in use by another process: {process}; a bus serves one"):
             rig.open()
-    finally:
-        other.communicate()
+        other.stdin.close()
     rig.open()
     taken(rig.source, 1)
 
@@ -329,23 +305,16 @@ def checked(asked: str) -> bytes:
     return packet + struct.pack("<H", crc16(packet))
 
 
-def test_the_mocked_bus_has_the_check_of_the_manual():
-    """e-Manual, Protocol 2.0: a ping of id 1."""
-    assert crc16(bytes.fromhex("ff ff fd 00 01 03 00 01")) == 0x4E19
-
-
 def test_a_reading_is_one_sync_read_and_writes_nothing(two):
     with closing(two.opened()) as source:
         taken(source, 3)
     # Header, to all, length, sync read, first register, how many, ids, check: by the manuals, written out by hand.
-    identity, state = {
-        "feetech": (bytes.fromhex("ff ff fe 06 82 03 1f 01 02 54"), bytes.fromhex("ff ff fe 06 82 28 1f 01 02 2f")),
-        "dynamixel": (
-            checked("ff ff fd 00 fe 09 00 82 00 00 18 00 01 02"),
-            checked("ff ff fd 00 fe 09 00 82 74 00 1f 00 01 02"),
-        ),
-    }[two.kind]
-    assert two.requests[0] == identity and set(two.requests[1:]) == {state}
+    assert crc16(bytes.fromhex("ff ff fd 00 01 03 00 01")) == 0x4E19  # e-Manual, Protocol 2.0: a ping of id 1
+    if two.kind == "feetech":
+        asked = [bytes.fromhex("ff ff fe 06 82 03 1f 01 02 54"), bytes.fromhex("ff ff fe 06 82 28 1f 01 02 2f")]
+    else:
+        asked = [checked(f"ff ff fd 00 fe 09 00 82 {block} 01 02") for block in ("00 00 18 00", "74 00 1f 00")]
+    assert two.requests[0] == asked[0] and set(two.requests[1:]) == {asked[1]}
     assert two.writes == []
 
 
@@ -396,16 +365,16 @@ def test_signs_of_feetech_are_in_the_bits_that_the_manual_says(feetech, register
     assert getattr(feetech.sample(), signal)[0] == pytest.approx(value, abs=1e-12)
 
 
-@pytest.mark.parametrize("model, ampere", [(XL330, 0.001), (1190, 0.001), (XM430, 0.00269), (1120, 0.00269)])
-@pytest.mark.parametrize("counts", [1, -1, 1193, -32768])
-def test_currents_of_dynamixel_are_signed_and_in_the_step_of_the_model(dynamixel, model, ampere, counts):
+@pytest.mark.parametrize("model, ampere", [(1200, 0.001), (1190, 0.001), (1020, 0.00269), (1120, 0.00269)])
+def test_currents_of_dynamixel_are_signed_and_in_the_step_of_the_model(dynamixel, model, ampere):
     x_series(dynamixel, 1, model)
-    dynamixel.put(1, "h", 126, counts)
-    assert dynamixel.sample().current[0] == pytest.approx(counts * ampere)
+    for counts in (1, -1, 1193, -32768):
+        dynamixel.put(1, "h", 126, counts)
+        assert dynamixel.sample().current[0] == pytest.approx(counts * ampere)
 
 
 def test_an_xl430_has_no_current(dynamixel):
-    x_series(dynamixel, 1, XL430)
+    x_series(dynamixel, 1, model=1060)
     dynamixel.put(1, "h", 126, 500)  # its load, an estimate
     one = dynamixel.sample()
     assert np.isnan(one.current[0]) and one.current[1] == 0.0
@@ -448,16 +417,12 @@ def test_an_angle_goes_on_where_the_counts_wrap(two):
     assert q[0] > 0
 
 
-def test_a_servo_in_another_mode_has_no_goal(two):
-    two.set(1, "mode", 1)  # speed
-    one = two.sample()
+@pytest.mark.parametrize("kind, register, value", [*((kind, "mode", 1) for kind in KINDS), ("feetech", "torque", 0)])
+def test_a_servo_in_another_mode_or_a_feetech_without_torque_has_no_goal(kind, register, value):
+    with Servos(kind) as bus:
+        bus.set(1, register, value)
+        one = bus.sample()
     assert np.isnan(one.q_des[0]) and one.q_des[1] == 0.0 and np.isfinite([one.q, one.duty]).all()
-
-
-def test_a_feetech_without_torque_has_no_goal(feetech):
-    feetech.set(1, "torque", 0)
-    one = feetech.sample()
-    assert np.isnan(one.q_des[0]) and one.q_des[1] == 0.0
 
 
 def test_stop_writes_the_present_position_as_goal_to_servos_whose_torque_is_on(two):
@@ -468,14 +433,11 @@ def test_stop_writes_the_present_position_as_goal_to_servos_whose_torque_is_on(t
         assert two.writes == []
         source.stop()
     # Header, to all, length, sync write, register, how many bytes, id 1 and its position, check.
-    address, goal, sent = {
-        "feetech": (42, b"\x23\x81", bytes.fromhex("ff ff fe 07 83 2a 02 01 23 81 a6")),
-        "dynamixel": (
-            116,
-            struct.pack("<i", -77),
-            checked("ff ff fd 00 fe 0c 00 83 74 00 04 00 01 b3 ff ff ff"),
-        ),
-    }[two.kind]
+    if two.kind == "feetech":
+        address, goal, sent = 42, b"\x23\x81", bytes.fromhex("ff ff fe 07 83 2a 02 01 23 81 a6")
+    else:
+        sent = checked("ff ff fd 00 fe 0c 00 83 74 00 04 00 01 b3 ff ff ff")
+        address, goal = 116, struct.pack("<i", -77)
     assert two.writes == [(address, 1, goal)] and sent in b"".join(two.requests)
 
 
@@ -489,11 +451,8 @@ def test_stop_says_what_does_not_hold(two):
     two.sent = lambda id_, packet: b"" if id_ == 1 else packet
     with pytest.raises(RuntimeError, match=r"servo 1 \(pan\) does not answer"):
         source.stop()
-    source.close()
-
-
-def test_a_servo_that_does_not_take_its_goal_is_named(two):
-    source = two.opened()
+    two.sent = lambda id_, packet: packet
+    patient(source)
     source.bus.write = lambda *_: None  # on its way it is lost
     two.set(1, "goal", 99)
     with pytest.raises(RuntimeError, match=r"servo 1 \(pan\) does not take the goal"):
@@ -516,7 +475,7 @@ def test_what_a_servo_complains_of_is_reported_once(two):
 
 @pytest.mark.slow
 def test_six_servos_are_read_six_thousand_times_and_each_time_whole():
-    """A minute at 100 Hz. How late they are depends on the machine: benchmarks/servo_buses.py."""
+    """At 100 Hz. How late they are depends on the machine: benchmarks/servo_buses.py."""
     with Servos("feetech", 6) as bus:
         bus.moves = lambda reading: [bus.set(id_, "position", (reading + 100 * id_) % 4096) for id_ in bus.registers]
         with closing(bus.opened(period_ns=10_000_000)) as source:
@@ -539,8 +498,12 @@ def test_feetech_servos_are_recognised_by_model_and_supply(monkeypatch):
     with MadeServoBus(Feetech(), [1, 2, 6]) as bus:
         for id_ in (1, 2, 6):
             sts3215(bus, id_)
-        joints = [ServoJoint(name, id_) for name, id_ in (("pan", 1), ("lift", 2), ("gripper", 6))]
-        source = servo_source(bus, "feetech", joints, monkeypatch)
+        joints = [ServoJoint("pan", 1), ServoJoint("lift", 2), ServoJoint("gripper", 6)]
+
+        def made() -> ServoSource:
+            return servo_source(bus, "feetech", joints, monkeypatch)
+
+        source = made()
         facts = source.describe(WAIT_S)
         assert facts.settings.joints == ("pan", "lift") and facts.notes == ("left out: gripper",)
         assert facts.signal == "duty" and facts.temperature and facts.settings.torque_units == ("N m", "N m")
@@ -552,17 +515,16 @@ def test_feetech_servos_are_recognised_by_model_and_supply(monkeypatch):
         source.close()
         bus.put(1, "B", 62, 120)  # 12 V
         bus.put(2, "B", 62, 118)
-        again = servo_source(bus, "feetech", joints, monkeypatch).describe(WAIT_S)
+        again = made().describe(WAIT_S)
         assert again.settings.servo.joints[1].nm_per_ampere == SERVO_TYPES["sts3215-12v"].nm_per_ampere
-        assert "servos are of another type" in why_another(
-            facts, replace(again, settings=replace(again.settings, period_ns=facts.settings.period_ns))
-        )
+        same_rate = replace(again.settings, period_ns=facts.settings.period_ns)
+        assert "servos are of another type" in why_another(facts, replace(again, settings=same_rate))
         bus.put(1, "H", 3, 2825)  # sts3250, of which no constant is known
-        unknown = servo_source(bus, "feetech", joints, monkeypatch).describe(WAIT_S)
+        unknown = made().describe(WAIT_S)
         assert unknown.settings.torque_units == ("A", "A") and "no constants are known" in unknown.notes[-1]
         assert unknown.settings.servo.joints[0].count_rad == pytest.approx(2 * np.pi / 4096)
         bus.registers.pop(2)
-        silent = servo_source(bus, "feetech", joints, monkeypatch)
+        silent = made()
         silent.bus.port.answer_s = 0.05
         with pytest.raises(ConfigError, match=r"servo 2 \(lift\) does not answer; 1 do"):
             silent.describe(WAIT_S)

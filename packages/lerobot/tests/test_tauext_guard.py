@@ -50,7 +50,8 @@ class Clock:
 
 
 @pytest.fixture
-def clock(monkeypatch):
+def clock(monkeypatch, caplog):
+    caplog.set_level(logging.WARNING)
     clock = Clock()
     monkeypatch.setattr(tauext_guard, "time", clock)
     return clock
@@ -89,8 +90,7 @@ def test_lerobot_finds_it_by_its_name():
 
 def test_a_report_writes_nothing_of_its_own(folder, clock, caplog):
     robot = guarding(folder)
-    with caplog.at_level(logging.WARNING):
-        rows = play(robot, clock)
+    rows = play(robot, clock)
     assert robot.robot.sent == [action for _, action, _ in rows]
     assert list(rows[0][0]) == NAMES and robot.observation_features == robot.robot.observation_features
     assert any("shoulder stalls" in line and line.endswith("; report") for line in words(caplog))
@@ -98,8 +98,7 @@ def test_a_report_writes_nothing_of_its_own(folder, clock, caplog):
 
 def test_a_limit_is_sent_in_the_tick_that_finds_the_stall_and_only_to_that_joint(folder, clock, caplog):
     robot = guarding(folder, on_stall="limit")
-    with caplog.at_level(logging.WARNING):
-        rows = play(robot, clock)
+    rows = play(robot, clock)
     count = len(rows)
     assert len(robot.robot.sent) == count + 1  # one more, by the reaction itself
     limited = [k for k, (_, action, sent) in enumerate(rows) if sent != action]
@@ -108,8 +107,7 @@ def test_a_limit_is_sent_in_the_tick_that_finds_the_stall_and_only_to_that_joint
         seen, action, sent = rows[k]
         assert sent | {NAMES[0]: None} == action | {NAMES[0]: None}
         assert 0 < sent[NAMES[0]] - seen[NAMES[0]] < 0.5 * BEYOND
-    seen = robot.get_observation()
-    back = dict(seen)
+    back = dict(robot.get_observation())
     assert robot.send_action(back) == back
     assert any("follows its goal again" in line for line in words(caplog))
 
@@ -127,8 +125,7 @@ def test_a_bus_that_fails_during_the_reaction_is_reported_and_the_next_action_is
         return send(action)
 
     monkeypatch.setattr(robot.robot, "send_action", failing)
-    with caplog.at_level(logging.WARNING):
-        rows = play(robot, clock)
+    rows = play(robot, clock)
     assert len(failed) == 1 and len(rows) == 240
     assert any("was not sent (the port is lost)" in line for line in words(caplog))
     _, action, sent = rows[-1]
@@ -158,8 +155,7 @@ def test_nan_does_not_end_the_program(folder, clock, caplog, monkeypatch):
     robot = guarding(folder, on_stall="limit")
     observe = robot.robot.get_observation
     monkeypatch.setattr(robot.robot, "get_observation", lambda: observe() | {NAMES[1]: math.nan})
-    with caplog.at_level(logging.WARNING):
-        rows = play(robot, clock, ticks=100)
+    rows = play(robot, clock, ticks=100)
     assert [sent for *_, sent in rows] == [action for _, action, _ in rows]
     assert [line for line in words(caplog) if "nothing is guarded" in line]
 
@@ -168,14 +164,12 @@ def test_a_loop_of_twice_the_rate_is_guarded_and_another_rate_is_reported(folder
     clock.period_ns = 33_333_333 // 2
     robot = guarding(folder)
     robot.robot.arm.run, run = lambda: run(0.5 / arms.FPS), robot.robot.arm.run
-    with caplog.at_level(logging.WARNING):
-        play(robot, clock)
+    play(robot, clock)
     assert any("shoulder stalls" in line for line in words(caplog))
     caplog.clear()
     clock.period_ns = 50_000_000
     robot.connect()
-    with caplog.at_level(logging.WARNING):
-        play(robot, clock, ticks=80)
+    play(robot, clock, ticks=80)
     (line,) = [line for line in words(caplog) if "no estimate: wrong rate" in line]
     assert line.endswith("; the loop must run at 30 Hz, or at two to four times that")
 

@@ -2,8 +2,10 @@
 
 import os
 import random
+import threading
 import time
 from collections.abc import Callable
+from contextlib import contextmanager
 
 URI = (
     "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo'/></Interfaces>"
@@ -27,6 +29,18 @@ def until(condition: Callable[[], object], what: str):
             return value
         time.sleep(0.002)
     raise AssertionError(f"waited {PATIENCE_S} s for {what}")
+
+
+@contextmanager
+def running(loop):
+    """The loop of a monitor, in a thread of its own."""
+    thread = threading.Thread(target=loop.run)
+    thread.start()
+    try:
+        yield
+    finally:
+        loop.stop("test")
+        thread.join()
 
 
 def own_space(request) -> str:

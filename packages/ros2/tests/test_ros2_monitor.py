@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from doc_pages import Page, parses
+from doc_pages import Page
 from made_arms import planar_rig, urdf
 from made_bundles import pushed, watching_bundle
 from made_live import Keeper
 from made_recordings import Drive, made_motion, write_bag
-from made_ros2 import DOMAIN, Robot, until
+from made_ros2 import DOMAIN, Robot, running, until
 from test_live_properties import at_each_end, expect_clean, swinging, turning_bundle
 
 pytest.importorskip("cyclonedds")
@@ -45,9 +45,7 @@ def test_torques_equal_the_monitor_offline_bit_for_bit_and_alarms_are_reported()
     notes: list[str] = []
     loop = Loop(bundle, source, [publisher], settings=LoopSettings(missing_after_s=60.0))
     loop.note = notes.append
-    running = threading.Thread(target=loop.run)
-    running.start()
-    try:
+    with running(loop):
         peer = Node(Ros2Settings(domain=DOMAIN, node="peer"))
         torques = peer.inbox(f"{SPACE}/external_torque", JointState, "reliable", "volatile", DEPTH).reader
         alarms = peer.inbox(f"{SPACE}/collision", Bool, "reliable", "transient-local", 8).reader
@@ -67,9 +65,6 @@ def test_torques_equal_the_monitor_offline_bit_for_bit_and_alarms_are_reported()
         # The alarm falls with the next sample.
         robot.send(stamp_ns=int(made.t_ns[-1]) + 1_000_000, **values)
         until(lambda: loop.samples == given + 1, "the last sample")
-    finally:
-        loop.stop("test")
-        running.join()
     rows = slice(LEARNT_FROM - 1, None)
     said = _core.Monitor(bundle).run(made.t_ns[rows], made.q[rows], made.dq[rows], made.tau[rows])
     messages = [m for m in torques.take(DEPTH) if m.sample_info.valid_data][:-1]
@@ -85,41 +80,30 @@ def test_positions_that_wrap_are_unwrapped():
     bundle, clean = turning_bundle(), swinging()
     wrapped = at_each_end(clean.q)
     settings = Ros2Settings(topic="/turns/joint_states", namespace="/turns", domain=DOMAIN, depth=8000)
-    source, _ = connect(settings)
     keeper = Keeper()
-    loop = Loop(bundle, source, [keeper], settings=LoopSettings(missing_after_s=60.0))
-    running = threading.Thread(target=loop.run)
-    running.start()
-    try:
+    loop = Loop(bundle, connect(settings)[0], [keeper], settings=LoopSettings(missing_after_s=60.0))
+    with running(loop):
         robot = Robot(settings, joints=clean.joints)
         robot.meets()
         for k in range(clean.samples):
-            robot.send(
-                stamp_ns=int(clean.t_ns[k]),
-                position=wrapped[k].tolist(),
-                velocity=clean.dq[k].tolist(),
-                effort=clean.tau[k].tolist(),
-            )
+            values = {"position": wrapped[k], "velocity": clean.dq[k], "effort": clean.tau[k]}
+            robot.send(stamp_ns=int(clean.t_ns[k]), **{field: value.tolist() for field, value in values.items()})
         until(lambda: loop.samples and keeper.verdicts[-1].t_ns == clean.t_ns[-1], "all samples")
-    finally:
-        loop.stop("test")
-        running.join()
     expect_clean(bundle, keeper, clean)
 
 
 def test_the_command_refuses_what_cannot_be(tmp_path, capsys):
     bundle = tmp_path / "arm.tauext"
     watching_bundle().save(str(bundle))
+    names = f"ros2 --ros2.domain {DOMAIN} --ros2.names a"
     for words, message in (
-        (["--ros2.topic", "joint_states"], "ROS 2 topic 'joint_states' must begin with /"),
-        (["--ros2.names", "a"], "ROS 2 names a: 1 for the bundle's 2 joints shoulder, elbow"),
+        ("ros2 --ros2.topic joint_states", "ROS 2 topic 'joint_states' must begin with /"),
+        (names, "ROS 2 names a: 1 for the bundle's 2 joints shoulder, elbow"),
+        ("ros2:/x", "must be one of"),
+        ("replay:x --ros2.depth 1", "--ros2 is for source ros2, not for replay"),
     ):
-        assert main(["monitor", str(bundle), "--source", "ros2", "--ros2.domain", str(DOMAIN), *words]) == 2
+        assert main(["monitor", str(bundle), "--source", *words.split()]) == 2
         assert message in capsys.readouterr().err
-    assert main(["monitor", str(bundle), "--source", "ros2:/x"]) == 2
-    assert "must be one of" in capsys.readouterr().err
-    assert main(["monitor", str(bundle), "--source", "replay:x", "--ros2.depth", "1"]) == 2
-    assert "--ros2 is for source ros2, not for replay" in capsys.readouterr().err
 
 
 def test_a_missing_library_is_named(monkeypatch):
@@ -131,14 +115,6 @@ def test_a_missing_library_is_named(monkeypatch):
 
 PAGE = "quickstarts/ros2.md"
 TYPES = {"std_msgs/msg/Bool": Bool, "std_msgs/msg/String": String, "geometry_msgs/msg/Inertia": Inertia}
-
-
-def test_every_command_of_the_page_is_accepted(monkeypatch):
-    commands = Page(PAGE).commands()
-    assert len(commands) >= 8
-    for command in commands:
-        assert parses(command, monkeypatch), command
-    assert not parses(["monitor", "arm.tauext", "--source", "ros2", "--ros2.topics", "/joint_states"], monkeypatch)
 
 
 class Driver(threading.Thread):

@@ -10,7 +10,6 @@ from tauext_ros2.node import HOLD_NS, Conditions
 from tauext_ros2.samples import LEARNT_FROM, TAKEOVER_NS, ArmJoints, Followed, SampleRate, SampleTime
 
 MS = 1_000_000
-WALL = 1_700_000_000 * 10**9
 
 
 def times_of(stamps_ms, received_ms, follows=None):
@@ -25,15 +24,11 @@ def times_of(stamps_ms, received_ms, follows=None):
     return steps, said
 
 
-def test_good_stamps_are_the_time_whatever_the_network_did():
-    time = SampleTime()
-    for stamp, received in ((WALL + 5, 100), (WALL + 6, 900), (WALL + 7, 901)):
-        assert time.next(stamp, received) == (stamp, None)
-
-
 @pytest.mark.parametrize(
     ("stamps", "received", "steps", "said"),
     [
+        ([5, 6, 7], [100, 900, 901], [0, 1, 2], None),
+        ([5000, 9000], [10, 4010], [0, 4000], None),  # a pause is no jump
         ([0, 0, 0], [10, 11, 13], [0, 1, 3], "stamps are missing"),
         ([5000, 5001, 3000, 3001], [10, 11, 12, 40], [0, 1, 2, 3], "went back by 2 s"),
         ([5000, 5001, 95000, 95001], [10, 11, 12, 40], [0, 1, 2, 3], "jumped ahead by 90 s"),
@@ -45,11 +40,7 @@ def test_good_stamps_are_the_time_whatever_the_network_did():
 def test_a_clock_that_is_set_or_missing_costs_steps_by_reception_only(stamps, received, steps, said):
     times, wrong = times_of(stamps, received)
     assert times == steps
-    assert any(said in text for text in wrong if text)
-
-
-def test_a_pause_is_no_jump():
-    assert times_of([5000, 9000], [10, 4010]) == ([0, 4000], [None, None])
+    assert any(said in text for text in wrong if text) if said else not any(wrong)
 
 
 def test_the_clock_of_another_publisher_does_not_enter():
@@ -124,29 +115,13 @@ def test_joints_come_in_the_arms_order_whatever_the_message_has():
         assert (q == dq).all() and (q == tau).all()
 
 
-def test_missing_joints_are_named():
+def test_missing_joints_and_empty_or_short_fields_are_named():
     arm = ArmJoints(("a", "b", "c"))
-    assert not arm.is_here(state("xb"))
-    assert arm.missing(state("xb")) == "no a, c among its joints x, b"
+    assert arm.missing(state("xb")) == "no a, c among its joints x, b" and not arm.is_here(state("xb"))
     assert arm.missing(state("")) == "no a, b, c among its joints (none)"
-    assert arm.is_here(state("cba"))
-
-
-@pytest.mark.parametrize("field", ["position", "velocity", "effort"])
-def test_empty_and_short_fields_are_named(field):
-    arm = ArmJoints(("a", "b"))
-    assert arm.is_here(state("ab"))
-    assert arm.pick(state("ab", **{field: []})).startswith(f"{field} is empty")
-    assert arm.pick(state("ab", **{field: [1.0]})) == f"{field} has 1 values for 2 names"
-
-
-def test_numbers_that_are_none_are_handed_on_and_named():
-    arm, bad = ArmJoints(("a", "b")), state("ba", effort=[float("nan"), 1.0])
-    assert arm.is_here(bad)
-    picked = arm.pick(bad)
-    assert np.isnan(picked[2]).tolist() == [False, True]
-    assert arm.not_finite(picked) == "effort of b is not a number"
-    assert arm.not_finite(arm.pick(state("ba"))) is None
+    for field in ("position", "velocity", "effort"):
+        assert arm.pick(state("abc", **{field: []})).startswith(f"{field} is empty")
+        assert arm.pick(state("abc", **{field: [1.0]})) == f"{field} has 1 values for 3 names"
 
 
 def test_the_first_publisher_is_followed_until_it_is_silent():

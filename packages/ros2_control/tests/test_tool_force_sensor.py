@@ -129,6 +129,13 @@ def started(place: Path, *parameters: object, rate_hz: int = 1000, text: str = "
     return run(place / "controller_manager", library, rate_hz, *parameters, text=text)
 
 
+def ran(place: Path, lines: list[str], *parameters: str) -> list[str]:
+    """What the controller printed of these cycles, without an error."""
+    code, out, err = started(place, f"bundle={place}/arm.tauext", *parameters, text="\n".join(lines))
+    assert code == 0, err
+    return out
+
+
 def cycles(signals: tuple[np.ndarray, ...]) -> list[str]:
     t_ns, *of_joints = signals
     rows = np.stack(of_joints, axis=2).reshape(len(t_ns), -1).tolist()  # position, velocity, effort of each joint
@@ -141,9 +148,7 @@ def values(lines: list[str]) -> np.ndarray:
 
 def test_the_exported_wrench_is_the_push_on_the_arm_and_that_of_the_monitor(place, bundle):
     signals = samples()
-    code, out, err = started(place, f"bundle={place}/arm.tauext", "frame=link7", text="\n".join(cycles(signals)))
-    assert code == 0, err
-    required, exported, *rows, allocations = out
+    required, exported, *rows, allocations = ran(place, cycles(signals), "frame=link7")
     assert required.split() == [f"{joint}/{kind}" for joint in JOINTS for kind in ("position", "velocity", "effort")]
     assert exported.split() == [f"tool_force/{name}" for name in VALUES]
     updating, configuring = map(int, allocations.split())
@@ -166,9 +171,7 @@ def test_the_exported_wrench_is_the_push_on_the_arm_and_that_of_the_monitor(plac
 def test_a_force_at_a_point_has_its_moment_about_the_frame_and_joints_other_names(place, bundle):
     point = [0.0, 0.02, 0.1]
     names = ",".join(f"arm_{joint}" for joint in JOINTS)
-    arguments = (f"bundle={place}/arm.tauext", "point=0,0.02,0.1", f"joints={names}")
-    code, out, err = started(place, *arguments, text="\n".join(cycles(samples())))
-    assert code == 0, err
+    out = ran(place, cycles(samples()), "point=0,0.02,0.1", f"joints={names}")
     assert out[0].split()[:3] == ["arm_joint1/position", "arm_joint1/velocity", "arm_joint1/effort"]
     force, moment, (error_n, *_) = np.split(values(out[-2:-1])[0], [3, 6])
     monitor = _core.Monitor(bundle)
@@ -182,11 +185,8 @@ def test_a_force_at_a_point_has_its_moment_about_the_frame_and_joints_other_name
 def test_a_declared_contact_is_in_effect_again_after_a_pause_and_raises_no_alarm_within_its_bounds(place):
     lines = cycles(samples())
     lines.insert(20, "off")
-    arguments = (f"bundle={place}/arm.tauext", "frame=link7", "at_most_nm=5")
     for at_most_n, alarm in ((40, 0), (10, COLLISION)):  # the push has 23.5 N
-        code, out, err = started(place, *arguments, f"at_most_n={at_most_n}", text="\n".join(lines))
-        assert code == 0, err
-        found = values(out[2:-1])
+        found = values(ran(place, lines, "frame=link7", "at_most_nm=5", f"at_most_n={at_most_n}")[2:-1])
         assert np.nanmax(found[:, ALARM]) == alarm  # NaN while inactive
         np.testing.assert_allclose(found[-1, :6], PUSH, rtol=0.02, atol=0.05)
 
@@ -196,9 +196,7 @@ def test_a_held_interface_is_a_missing_sample_and_a_nan_or_a_pause_makes_the_for
     lines[705] = re.sub(r" \S+$", " h", lines[705])
     lines[750] = re.sub(r" \S+$", " nan", lines[750])
     lines.insert(740, "off")
-    code, out, err = started(place, f"bundle={place}/arm.tauext", text="\n".join(lines))
-    assert code == 0, err
-    found = values(out[2:-1])
+    found = values(ran(place, lines)[2:-1])
     assert found[704:707, HEALTH].tolist() == [OK, STALE, OK]
     np.testing.assert_array_equal(found[705, :6], found[704, :6])  # the last known force
     assert np.isnan(found[740]).all()
@@ -251,6 +249,5 @@ def test_the_example_names_one_sensor_and_frame_for_all_controllers():
     assert {admittance["ft_sensor"]["name"], broadcaster["sensor_name"]} == {sensor}
     frames = {of[sensor]["frame"], admittance["ft_sensor"]["frame"]["id"], broadcaster["frame_id"]}
     assert len(frames) == 1
-    assert not any(
-        [admittance["gravity_compensation"]["CoG"]["force"], *admittance["gravity_compensation"]["CoG"]["pos"]]
-    )
+    tool = admittance["gravity_compensation"]["CoG"]
+    assert not any([tool["force"], *tool["pos"]])

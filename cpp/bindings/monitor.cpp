@@ -266,7 +266,7 @@ void bind_samples(nb::class_<Monitor>& monitor) {
           nb::sig("def run(self, t_ns: numpy.typing.ArrayLike, q: numpy.typing.ArrayLike, dq: numpy.typing.ArrayLike, "
                   "tau: numpy.typing.ArrayLike, recorder: FlightRecorder | None = None, "
                   "temperature: numpy.typing.ArrayLike | None = None) -> dict[str, numpy.typing.NDArray[typing.Any]]"),
-          "Calls step() for every row; returns a dict of arrays.")
+          "Calls step() for every row; returns a dict of arrays. Flags are uint8, 0 or 1: call .astype(bool) before ~ or a mask.")
       .def(
           "run_missing",
           [](Monitor& self, const Whole& now_ns, Recorder* recorder) {

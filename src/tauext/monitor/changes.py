@@ -50,7 +50,7 @@ INFO, WARN, ERROR = 20, 30, 40
 class Change:
     """A change of state at one sample.
 
-    Terminal, JSON lines, page, flights, MCAP files, ROS 2 and reactions use these members, whatever the kind.
+    Terminal, flights and MCAP files print its words, JSON lines its facts; reactions follow its trigger.
     """
 
     row: int

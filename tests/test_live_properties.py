@@ -77,7 +77,8 @@ def bundle():
 
 def expect_clean(bundle, keeper, clean) -> None:
     """Every sample has the clean position and estimate, and is healthy once warm."""
-    verdicts = [one for one in keeper.verdicts if one.sample is not None]
+    # A busy machine reads on behind the recording's end.
+    verdicts = [one for one in keeper.verdicts if one.sample is not None and one.t_ns <= clean.t_ns[-1]]
     row = {t_ns: k for k, t_ns in enumerate(clean.t_ns.tolist())}
     rows = [row[one.t_ns] for one in verdicts]
     assert np.ptp(rows) > 0.6 * len(clean.t_ns)

@@ -149,10 +149,10 @@ TOLD = {
 SLOW = {"second torque in mNm", "first torque in mNm", "all torques in mNm", "offset", "turned without a model"}
 
 
-@pytest.mark.parametrize("told", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in TOLD])
-def test_one_fault_of_the_whole_motion_is_told_alone(six, searched, longer, told):
-    change, with_model, code, joints, words = TOLD[told]
-    case = longer if told.startswith("turned") else searched if told == "offset" else six
+@pytest.mark.parametrize("case_name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in TOLD])
+def test_one_fault_of_the_whole_motion_is_named_alone(six, searched, longer, case_name):
+    change, with_model, code, joints, words = TOLD[case_name]
+    case = longer if case_name.startswith("turned") else searched if case_name == "offset" else six
     found = examine([change(r) for r in case.made.recordings], case.urdf if with_model else None).findings
     named = [f for f in found if f.code == code]
     assert {f.code for f in found if f.severity == "fault"} == ({code} if named else set())

@@ -495,7 +495,10 @@ def _relative_constants(
 
 
 def drawn_to_given(constants: np.ndarray, errors: np.ndarray) -> TorqueConstants:
-    """Corrections whose ratios the motion shows: their mean stays as given, each is drawn to 1 as far as it is open."""
+    """Corrections whose ratios follow from the motion; their mean stays as given.
+
+    Each correction is drawn to 1, the more the less the motion determines it.
+    """
     known = (constants > 0) & np.isfinite(errors)
     logs, shares = np.zeros(len(constants)), np.full(len(constants), np.inf)
     logs[known], shares[known] = (

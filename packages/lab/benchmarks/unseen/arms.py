@@ -57,7 +57,7 @@ class Maker:
 
 @dataclass(frozen=True)
 class TrueArm:
-    """What nobody knows of it."""
+    """The true arm under its drives, which no integrator knows."""
 
     tree: _core.Tree
     coulomb_nm: np.ndarray

@@ -209,9 +209,11 @@ def _current(folder: Path, is_checked: bool = False) -> _Open:
 def _has_grown(one: _Open) -> bool:
     """Read the lines that were appended since; whether nothing else has changed."""
     assert one.database is not None
-    rows = one.database.execute("SELECT * FROM line WHERE number > ? ORDER BY number", (one.contents.last,)).fetchall()
+    with _snapshot(one.database) as database:
+        rows = database.execute("SELECT * FROM line WHERE number > ? ORDER BY number", (one.contents.last,)).fetchall()
+        (count,) = database.execute("SELECT count(*) FROM line").fetchone()
     lines = (*one.contents.lines, *_lines(rows).values())
-    if one.database.execute("SELECT count(*) FROM line").fetchone()[0] != len(lines):
+    if count != len(lines):
         return False
     one.contents = Contents(lines)
     return True
@@ -226,8 +228,8 @@ def _whole(folder: Path) -> _Open:
         return _Open(None, Contents(), None)
     path, backup = folder / NAME, folder / BACKUP
     stamp = _stamp(path)
-    database, lines, damage = _checked(path)
-    copy, copied, backup_damage = _checked(backup, is_backup=True)
+    database, lines, damage, version = _checked(path)
+    copy, copied, backup_damage, _ = _checked(backup, is_backup=True)
     if copy is not None:
         copy.close()
     found = copied | lines
@@ -240,8 +242,7 @@ def _whole(folder: Path) -> _Open:
     contents = Contents(tuple(found[number] for number in sorted(found)))
     one = _Open(database, contents, stamp, damage=damage, backup_damage=backup_damage, is_read_only=not _takes(folder))
     one.backed_up = (_stamp(backup), max(copied, default=0), len(copied))
-    if database is not None:
-        one.version = database.execute("PRAGMA data_version").fetchone()[0]
+    one.version = version
     _open[folder] = one
     return one
 
@@ -276,16 +277,16 @@ def _is_there(folder: Path) -> bool:
         return False
 
 
-def _checked(path: Path, is_backup: bool = False) -> tuple[sqlite3.Connection | None, dict[int, Line], str]:
-    """The database of a file, all lines that can be read, and its damage in words.
+def _checked(path: Path, is_backup: bool = False) -> tuple[sqlite3.Connection | None, dict[int, Line], str, int]:
+    """The database of a file, all lines that can be read, its damage in words, and a data_version that is no newer.
 
     Raises:
         ConfigError: it is of a later version of tauext.
     """
     if not os.path.lexists(path):
-        return None, {}, "it is missing"
+        return None, {}, "it is missing", 0
     if _stamp(path) is None:
-        return None, {}, "it is no file"
+        return None, {}, "it is no file", 0
     database, lines = None, dict[int, Line]()
     try:
         database = _connect(path, is_backup or not _takes(path.parent))
@@ -299,18 +300,32 @@ def _checked(path: Path, is_backup: bool = False) -> tuple[sqlite3.Connection | 
                 f"{path}: has format {version}, which this version of tauext does not read (it reads {FORMAT}); "
                 "use the version that made it"
             )
-        (found,) = database.execute("PRAGMA quick_check(1)").fetchone()
-        lines = _readable(database)
-        if found != "ok" or len(lines) != database.execute("SELECT count(*) FROM line").fetchone()[0]:
+        (data_version,) = database.execute("PRAGMA data_version").fetchone()
+        with _snapshot(database):
+            (found,) = database.execute("PRAGMA quick_check(1)").fetchone()
+            lines = _readable(database)
+            (count,) = database.execute("SELECT count(*) FROM line").fetchone()
+        if found != "ok" or len(lines) != count:
             raise sqlite3.DatabaseError("its content is damaged")
-        return database, lines, ""
+        return database, lines, "", data_version
     except (sqlite3.Error, ConfigError) as error:
         if database is not None:
             lines = lines or _readable(database)
             database.close()
         if isinstance(error, ConfigError):
             raise
-        return None, lines, str(error)
+        return None, lines, str(error), 0
+
+
+@contextmanager
+def _snapshot(database: sqlite3.Connection) -> Iterator[sqlite3.Connection]:
+    """Read one state of the database, whatever other processes commit meanwhile."""
+    database.execute("BEGIN")
+    try:
+        yield database
+    finally:
+        with suppress(sqlite3.Error):
+            database.execute("COMMIT")
 
 
 def _connect(path: Path, is_read_only: bool) -> sqlite3.Connection:
@@ -365,6 +380,12 @@ def _text(content: Mapping[str, Any]) -> str:
 # --- Writing.
 
 
+def _to_write(folder: Path, is_checked: bool = False) -> _Open:
+    """The journal as it is now, for who holds its lock: a damage that was seen without the lock is checked again."""
+    one = _current(folder, is_checked)
+    return _whole(folder) if one.database is None or one.damage else one
+
+
 def append(folder: Path, kind: str, content: Mapping[str, Any], after: int = 0) -> str:
     """Append a line and wait until the disk holds it; what had to be refilled before, or empty.
 
@@ -375,7 +396,7 @@ def append(folder: Path, kind: str, content: Mapping[str, Any], after: int = 0) 
         OSError: the line cannot be written; the journal is as before.
     """
     with _locked(folder):
-        one = _current(folder)
+        one = _to_write(folder)
         words = _mend(folder, one) if one.database is None or one.damage else ""
         one = _current(folder)
         row = _row({"number": max(one.contents.last, after) + 1, "kind": kind} | dict(content))
@@ -394,7 +415,7 @@ def mend(folder: Path) -> str:
         OSError: the folder cannot be written.
     """
     with _locked(folder):
-        one = _current(folder, is_checked=True)
+        one = _to_write(folder, is_checked=True)
         words = [_mend(folder, one)] if one.damage and one.contents.lines else []
         one = _current(folder)
         if one.contents.lines and one.backed_up != _backup_of(folder, one.contents):
@@ -415,7 +436,7 @@ def compact(folder: Path, choose: Callable[[Contents], tuple[Collection[int], Ma
         OSError: the database cannot be written; the journal has the same content as before.
     """
     with _locked(folder):
-        one = _current(folder)
+        one = _to_write(folder)
         if one.database is None or one.damage or (chosen := choose(one.contents)) is None:
             return
         numbers, content = chosen

@@ -326,14 +326,22 @@ def test_lines_survive_a_kill_without_a_backup(tmp_path):
     assert journal.read(tmp_path).last == 30 and not journal.mend(tmp_path)
 
 
-def test_lines_of_several_processes_get_different_numbers(tmp_path):
+def test_lines_of_several_processes_get_different_numbers_and_none_is_lost(tmp_path):
     code = "import sys; from pathlib import Path; from tauext_commission import journal\n"
-    code += "for k in range(30): journal.append(Path(sys.argv[1]), 'a', {'id': k})"
-    writers = [subprocess.Popen([sys.executable, "-c", code, str(tmp_path)]) for _ in range(2)]
+    code += "for k in range(60): journal.append(Path(sys.argv[1]), 'a', {'id': k})"
+    writers = [subprocess.Popen([sys.executable, "-c", code, str(tmp_path)]) for _ in range(3)]
+    reads = own = 0
     while any(one.poll() is None for one in writers):
-        journal.read(tmp_path)  # a reader meanwhile
-    assert [one.returncode for one in writers] == [0, 0]
-    assert [one["number"] for one in journal.read(tmp_path).lines] == list(range(1, 61))
+        journal.read(tmp_path)  # a reader, which also opens the database anew and writes: it sees no damage
+        reads += 1
+        if reads % 7 == 0:
+            journal.close(tmp_path)
+        if reads % 50 == 0:
+            journal.append(tmp_path, "b", {"id": reads})
+            own += 1
+    assert [one.returncode for one in writers] == [0, 0, 0]
+    assert [one["number"] for one in journal.read(tmp_path).lines] == list(range(1, 181 + own))
+    assert not list(tmp_path.glob("*.damaged*"))
 
 
 ODD = ["x", [], {}, {"joints": 5}, None]

@@ -55,11 +55,11 @@ def trained(tmp_path: Path, monkeypatch, training, validation=(), **settings):
     return bundle, json.loads(bundle.provenance)
 
 
-def test_limits_that_promise_nothing_are_shown_with_their_reason(tmp_path, monkeypatch, capsys):
+def test_limits_from_seconds_prove_nothing_and_are_shown_so(tmp_path, monkeypatch, capsys):
     trained(tmp_path, monkeypatch, [motion(seconds=6.0)], recipe="prior")
     assert main(["show", str(tmp_path / "made.tauext")]) == 0
     told = " ".join(capsys.readouterr().out.split())
-    assert "limits promise" in told and "largest errors seen, and promise nothing" in told
+    assert "Limits are set for 1 in 8 h, extrapolated from" in told and "So short a time proves nothing" in told
 
 
 def test_gate_and_limits_are_judged_by_the_signal_ranges_that_ship(tmp_path, monkeypatch):

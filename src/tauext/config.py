@@ -28,7 +28,7 @@ from tauext.errors import ConfigError
 from tauext.recipes import Recipe, recipe_of, summaries
 
 Backend = Literal["core", "torch"]
-LimitsKind = Literal["auto", "promised", "supported", "paper"]
+LimitsKind = Literal["auto", "asked", "promised", "supported", "paper"]
 OnOff = Literal["on", "off"]
 PAPER_GAIN_PER_S = 20.0
 """Observer gain of [Lim2021]."""
@@ -319,10 +319,10 @@ class TrainConfig(Settings):
     observer: ObserverConfig = field(default_factory=ObserverConfig)
     """The momentum observer and the rates of the chain."""
     limits: LimitsKind = "auto"
-    """Method of finding limits. promised: from the permitted false alarms, on the dataset's calibration recordings.
-    supported: for the fewest false alarms that validation recordings and held-out training motion support. paper: the
-    largest errors on its validation recordings. auto: paper for the recipes paper and dense; else promised with
-    calibration recordings and supported without."""
+    """Method of finding limits. asked: for the permitted false alarms, extrapolated where the recordings do not prove
+    them. promised: for the fewest that the dataset's calibration recordings prove. supported: for the fewest that
+    validation recordings and held-out training motion prove. paper: the largest errors on validation recordings. auto:
+    paper for the recipes paper and dense; else asked."""
     error_scale: OnOff | None = None
     """Whether limits follow the error predicted from the motion or are constants (None: on for recipes tauext and
     prior, off for the others)."""

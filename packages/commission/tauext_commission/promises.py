@@ -296,7 +296,7 @@ class Promises:
         alarm = AlarmConfig()
         try:
             motion = LimitMotion(out.stem, alarm, THREADS, peaks=calibration.peaks, suspects=calibration.suspects())
-            limits = LIMITS["promised"](bundle, motion)
+            limits = LIMITS["asked"](bundle, motion)
         except TauextError as error:
             folder.note("note", folder.seconds(), f"no limits from calibration: {error}")
             return calibration.renewed()

@@ -111,7 +111,8 @@ class Like(Start):
 
     def put_limits(self, run: TrainingRun, bundle: _core.Bundle, kind: str) -> tuple[str, dict] | None:
         """Set the fleet's limits in place of supported ones; returns their basis as text, and facts."""
-        errors = self.errors_for(run, bundle) if kind == "supported" else None
+        own = kind == "supported" or kind == "asked" and not run.given.calibration
+        errors = self.errors_for(run, bundle) if own else None
         if errors is None:
             return None
         limits = np.array([errors.sliding_limit_nm, errors.near_stiction_limit_nm])

@@ -339,6 +339,10 @@ def words_of_provenance(content: Content) -> dict[str, str]:
             f"{moment['region'].replace('_', ' ')}, without it {moment['without_nm']:.3g} {units[moment['joint']]}"
         )
     rows |= named(facts, ("limits promise", "limits", "sentence"))
+    for one in limits.get("budgets", []):
+        pushes = ", ".join(f"{push:.3g} N at the {place}" for place, push in one["push_n"].items())
+        share = f"limits {one['share_of_limits']:.0%} as high"
+        rows[f"limits for {one['text']}"] = f"notice {pushes} ({share})" if pushes else share
     rows |= named(limits, ("in other motion", "other_motion", "sentence"), ("by other signals", "signals", "sentence"))
     if "set_for" in limits:
         rows["limits were set for"] = f"{limits['set_for']}, hold time {limits['hold_s'] * 1e3:g} ms"

@@ -75,7 +75,7 @@ def recalibrate(
         facts["rejected_in_calibration"] = asdict(rejected.summary())
     before = facts.get("limits") or {}
     motion = LimitMotion(out.stem, alarm, threads, report=report, note=report.say, calibration=loaders, out=out)
-    limits = facts["limits"] = LIMITS["promised"](loaded, motion)
+    limits = facts["limits"] = LIMITS["asked"](loaded, motion)
     compared, worse = worse_promise(before, limits, bundle.name)
     if compared:
         report.say(compared)

@@ -327,8 +327,7 @@ def collect_rows(
     Raises:
         TrainingError: no free motion.
     """
-    plain = _core.Bundle.from_bytes(bundle.to_bytes())
-    plain.error_scale = unit_scale(bundle.joints)
+    plain = with_unit_scale(bundle)
     found: list[tuple[np.ndarray, ...]] = []
     stride, count = bundle.observer.network_stride, 0
     numbers: dict[str, int] = {}
@@ -362,6 +361,21 @@ def limit_weights(rows: ErrorRows, joint: int) -> np.ndarray:
     if stood_s < config.stood_s:
         weights[standstill] = max(weights[standstill], 1.0 - weights[0])
     return weights
+
+
+def with_unit_scale(bundle: _core.Bundle) -> _core.Bundle:
+    """A copy of the bundle whose error scale is 1 and has all features."""
+    plain = _core.Bundle.from_bytes(bundle.to_bytes())
+    plain.error_scale = unit_scale(bundle.joints)
+    return plain
+
+
+def features_of(bundle: _core.Bundle, t_ns: np.ndarray, dq: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Features of a motion without gaps at these samples, (rows, joints, features)."""
+    sliding, every, none = np.zeros(dq.shape, np.uint8), np.ones(len(dq), np.uint8), np.zeros(len(dq), np.uint8)
+    motion = _core.motion_errors(with_unit_scale(bundle), t_ns, dq, sliding, every, none, at)
+    features: np.ndarray = motion["features"]
+    return features
 
 
 def unit_scale(joints: int) -> _core.ErrorScaleSettings:

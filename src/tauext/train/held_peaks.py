@@ -195,6 +195,27 @@ class Peaks:
         some.nm, some.at = [self.nm[j] for j in chosen], [self.at[j] for j in chosen]
         return some
 
+    def worst(self, limits_nm: np.ndarray) -> np.ndarray:
+        """Peaks of the largest ratio of a joint's error to its limit, moment_s or more apart, descending, (peaks,).
+
+        Args:
+            limits_nm: (regions, joints), [N m].
+        """
+        columns = [
+            np.column_stack([at, nm / limit])
+            for of_at, of_nm, limits in zip(self.at, self.nm, limits_nm.T, strict=True)
+            for at, nm, limit in zip(of_at, of_nm, limits, strict=True)
+        ]
+        rows = np.concatenate(columns)
+        recording, t_ns, ratio = rows[np.lexsort((rows[:, 1], rows[:, 0]))].T
+        # One time axis for all recordings; peaks of two are always apart.
+        apart_ns = 1e9 * self._config.moment_s
+        ends = np.maximum.reduceat(t_ns, np.r_[0, 1 + np.flatnonzero(np.diff(recording))]) if len(t_ns) else t_ns
+        starts = np.r_[0, np.cumsum(ends + 2 * apart_ns)]
+        at_ns = (t_ns + starts[np.unique(recording, return_inverse=True)[1]]).astype(np.int64)
+        found: np.ndarray = np.sort(ratio[peak_indices(ratio, at_ns, gap_s=self._config.moment_s)])[::-1]
+        return found
+
     @property
     def largest_nm(self) -> np.ndarray:
         """Largest peak of each joint and region, 0 without one, (joints, regions), [N m]."""

@@ -89,18 +89,59 @@ def hits(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | None) -> np.nd
     Args:
         poses: (poses, joints); None: those that the bundle keeps.
     """
-    alone, model = np.eye(bundle.joints), _core.WrenchModel(bundle)
-    if model.refused:
+    alone, known = np.eye(bundle.joints), np.array(bundle.in_newtons)
+    felt = [torques for _, torques in hits_of_points(bundle, poses)]
+    if not felt:
         return alone
+    found = np.concatenate(felt)
+    found = found[np.abs(found).max(axis=1) > LEAST_LEVER_M]
+    return np.concatenate([found, np.repeat(alone[~known], len(felt[0]), axis=0)]) if len(found) else alone
+
+
+LEAST_LEVER_M = 1e-3
+"""No joint feels a force with a smaller lever."""
+
+
+def hits_of_points(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | None) -> list[tuple[Point, np.ndarray]]:
+    """Torques of a newton in any direction at the end of each link, (hits, joints), 0 where the estimates are not in
+    N m; none where no forces can be estimated or no poses are kept.
+
+    Args:
+        poses: see hits.
+    """
+    model = _core.WrenchModel(bundle)
     q = kept_poses(bundle) if poses is None else np.asarray(poses, dtype=float)
-    if not len(q):
-        return alone
+    if model.refused or not len(q):
+        return []
     ways, known = even_ways(), np.array(bundle.in_newtons)
     few = q[:: max(1, len(q) // 16)].tolist()
-    felt = []
+    found = []
     for point in points(bundle):
         lever = np.array([model.columns(point.frame, q, list(point.point_m))[:3].T for q in few])
-        felt.append((lever @ ways.T).transpose(0, 2, 1).reshape(-1, bundle.joints) * known)
-    found = np.concatenate(felt)
-    found = found[np.abs(found).max(axis=1) > 1e-3]  # no joint feels a force with a lever below a millimetre
-    return np.concatenate([found, np.repeat(alone[~known], len(felt[0]), axis=0)]) if len(found) else alone
+        found.append((point, (lever @ ways.T).transpose(0, 2, 1).reshape(-1, bundle.joints) * known))
+    return found
+
+
+def noticed_pushes_n(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | None) -> dict[str, float]:
+    """Median push that exceeds a joint's limit of usual sliding motion, at the arm's end and on its forearm, [N].
+
+    The forearm is the farther from the base of the two longest links, and is pushed at its end. A place that no
+    monitored joint feels is left out.
+
+    Args:
+        poses: see hits.
+    """
+    felt = hits_of_points(bundle, poses)
+    if not felt:
+        return {}
+    longest = sorted(range(len(felt)), key=lambda k: -float(np.linalg.norm(felt[k][0].point_m)))[:2]
+    limits, found = np.array(bundle.sliding_limit_nm), {}
+    for place, k in (("end of the arm", len(felt) - 1), (felt[max(longest)][0].name, max(longest))):
+        torques = np.abs(felt[k][1])
+        torques = torques[torques.max(axis=1) > LEAST_LEVER_M]
+        if len(torques) and np.isfinite(limits).any():
+            with np.errstate(divide="ignore"):
+                push_n = float(np.median((limits / torques).min(axis=1)))
+            if np.isfinite(push_n):
+                found[place] = push_n
+    return found

@@ -1,9 +1,9 @@
-"""Limits of a training: by a promise, from minutes of data, or as in the paper.
+"""Limits of a training: for the budget asked for, by a promise, from minutes of data, or as in the paper.
 
-A kind of limits is a function `put(bundle, motion) -> facts` in LIMITS: put_promised, put_supported or put_paper. All
-use the same motion (LimitMotion) and the peaks of its held error (held_peaks). Limits with a stated rate follow from
-the peaks' tails (fit/tail.py), the rate that each tail is allowed (fit/limits_together.py), and the level at this rate
-(promised_limits.limits_of).
+A kind of limits is a function `put(bundle, motion) -> facts` in LIMITS: put_asked, put_promised, put_supported or
+put_paper. All use the same motion (LimitMotion) and the peaks of its held error (held_peaks). Limits with a stated rate
+follow from the peaks' tails (fit/tail.py), the rate that each tail is allowed (fit/limits_together.py), and the level
+at this rate (promised_limits.limits_of).
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from tauext.fit.bundle_writing import freeze_drift, make_bundle
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.tail import duration, promised_per_hour
 from tauext.fit.training_set import Setup
+from tauext.train.asked_limits import put_asked
 from tauext.train.error_scale import (
     HeldOut,
     collect_rows,
@@ -33,6 +34,7 @@ from tauext.train.error_scale import (
     put_constant_error,
     with_outputs,
 )
+from tauext.train.other_programs import widen_for_other_programs
 from tauext.train.paper_limits import LimitMotion, ignore_standing, put_paper
 from tauext.train.preparation import TrainingRun
 from tauext.train.promised_limits import put_promised
@@ -43,6 +45,7 @@ from tauext.train.wrench import fit_wrench
 
 
 LIMITS: dict[str, Callable[[Bundle, LimitMotion], dict]] = {
+    "asked": put_asked,
     "promised": put_promised,
     "supported": put_supported,
     "paper": put_paper,
@@ -59,7 +62,7 @@ def put_limits(run: TrainingRun, bundle: Bundle, setup: Setup, fit: PriorFit | N
     """
     config, kind = run.config, limits_kind(run.config, run.given.calibration)
     follows = config.resolved().error_scale == "on"
-    if follows and kind == "supported" and bundle.region_width >= 0:
+    if follows and kind in ("asked", "supported") and not run.given.calibration and bundle.region_width >= 0:
         bundle.near_memory_s = SupportedConfig.near_memory / bundle.observer.gain_per_s
     if words := ignore_standing(bundle, [*run.training, *run.validation]):
         run.notes.append(words)
@@ -80,7 +83,7 @@ def put_limits(run: TrainingRun, bundle: Bundle, setup: Setup, fit: PriorFit | N
         left_out=left_out,
         fit=fit,
     )
-    motion = put_error_scale(run, bundle, motion, follows)
+    motion = put_error_scale(run, bundle, setup, motion, follows)
     if (started := run.start.put_limits(run, bundle, kind)) is not None:
         words, facts = started
         run.notes.append(words)
@@ -95,7 +98,7 @@ def put_limits(run: TrainingRun, bundle: Bundle, setup: Setup, fit: PriorFit | N
         run.notes.extend(put_limit_findings(bundle, run.facts))
 
 
-def put_error_scale(run: TrainingRun, bundle: Bundle, motion: LimitMotion, follows: bool) -> LimitMotion:
+def put_error_scale(run: TrainingRun, bundle: Bundle, setup: Setup, motion: LimitMotion, follows: bool) -> LimitMotion:
     """Set the error scale and the errors of forces; returns the motion with its errors and poses.
 
     Args:
@@ -107,7 +110,11 @@ def put_error_scale(run: TrainingRun, bundle: Bundle, motion: LimitMotion, follo
         put_constant_error(bundle, rows)
     else:
         started = run.start.put_scale(run, bundle, rows)
-        run.facts["error_scale"] = fit_error_scale(bundle, rows, run.config.drift) if started is None else started
+        if started is None:
+            started = fit_error_scale(bundle, rows, run.config.drift)
+            if motion.fit is not None:
+                started |= {"other_programs": widen_for_other_programs(bundle, setup, motion.fit, run.training, rows)}
+        run.facts["error_scale"] = started
         for one in motion.left_out:
             assert one.bundle is not None
             one.bundle.error_scale = bundle.error_scale
@@ -116,7 +123,7 @@ def put_error_scale(run: TrainingRun, bundle: Bundle, motion: LimitMotion, follo
 
 
 def limits_kind(config: TrainConfig, calibration: Sequence[object], folder: Path | None = None) -> str:
-    """Return the kind of limits: promised, supported or paper.
+    """Return the kind of limits: asked, promised, supported or paper.
 
     Args:
         folder: of the dataset, for the message; None: its recordings are in memory.
@@ -130,7 +137,7 @@ def limits_kind(config: TrainConfig, calibration: Sequence[object], folder: Path
         return config.limits
     if config.row.largest_error_limits:
         return "paper"
-    return "promised" if calibration else "supported"
+    return "asked"
 
 
 def no_calibration(folder: Path | None) -> str:

@@ -97,6 +97,11 @@ class LimitMotion:
     fit: PriorFit | None = None
 
     @property
+    def by_calibration(self) -> bool:
+        """Whether limits follow from recordings that are used for nothing else."""
+        return bool(self.calibration) or self.peaks is not None
+
+    @property
     def held_out(self) -> list[HeldOut]:
         """All motion from which no bundle here has learned."""
         return [*self.unseen, *self.left_out]

@@ -74,6 +74,8 @@ class PromisedLimits:
     """Moments that alone determine a collision limit."""
     suspects: int = 0
     """Number of suspected touches left out of the peaks."""
+    peaks: Peaks | None = None
+    """Of the monitored joints, at the hold time of a collision."""
 
     @property
     def misfits(self) -> list[str]:
@@ -171,7 +173,7 @@ def promised_limits(
     of_arm = np.full((2, len(REGIONS), bundle.joints), np.inf)
     of_arm[:, :, watched] = collision, contact
     holds_s = alarm.holds_s[best], alarm.holds_s[held]
-    return PromisedLimits(of_arm[0], of_arm[1], *holds_s, promise, budget, tails, rates, moments)
+    return PromisedLimits(of_arm[0], of_arm[1], *holds_s, promise, budget, tails, rates, moments, peaks=peaks[best])
 
 
 def soonest(sliding_nm: Sequence[np.ndarray], holds_s: Sequence[float], gain_per_s: float, config: LimitsConfig) -> int:
@@ -265,7 +267,16 @@ def joint_tails(nm: Sequence[np.ndarray], hours: float, config: LimitsConfig) ->
 
 
 def put_promised(bundle: _core.Bundle, motion: LimitMotion, config: LimitsConfig = LimitsConfig()) -> dict:
-    """Limits with a stated rate of false alarms, from calibration recordings.
+    """Limits with a stated rate of false alarms, from calibration recordings; see calibrated()."""
+    promised, facts = calibrated(bundle, motion, config)
+    note_moments(bundle, promised.moments, motion.note)
+    return facts
+
+
+def calibrated(
+    bundle: _core.Bundle, motion: LimitMotion, config: LimitsConfig = LimitsConfig()
+) -> tuple[PromisedLimits, dict]:
+    """Set the limits of the budget that calibration recordings support; returns them and their facts.
 
     An interrupted run resumes from its checkpoint. The caller that writes the bundle calls `remove_checkpoint`.
 
@@ -282,8 +293,7 @@ def put_promised(bundle: _core.Bundle, motion: LimitMotion, config: LimitsConfig
         promised = promised_limits(bundle, peaks, motion.alarm, config, motion.poses)
     promised = replace(promised, suspects=suspects)
     promised.put(bundle, motion.alarm)
-    note_moments(bundle, promised.moments, motion.note)
-    return promised.facts() | facts
+    return promised, promised.facts() | facts
 
 
 def calibration_peaks(bundle: _core.Bundle, motion: LimitMotion) -> tuple[list[Peaks], list[Suspect], LeftOut]:

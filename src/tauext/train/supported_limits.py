@@ -17,6 +17,7 @@ from tauext.fit.prior_terms import PriorFit
 from tauext.fit.tail import TooFewPeaks, duration
 from tauext.train.error_scale import FEATURES, ErrorRows, HeldOut, add_friction, limit_weights, whole_recordings
 from tauext.train.held_peaks import (
+    Moment,
     Peaks,
     collect_peaks,
     count_episodes,
@@ -53,18 +54,40 @@ class SupportedConfig:
     """Confidence with which the limits keep the supported budget, which itself already has the promise's confidence."""
 
 
+@dataclass(frozen=True)
+class Raised:
+    """Limits from minutes of motion as they were set."""
+
+    promised: PromisedLimits | None
+    """None: the motion is too short for any budget, and the limits are its largest errors."""
+    facts: dict
+    words: str
+    factor: float = 1.0
+    """Factor on the limits of `promised`, which follow the error."""
+    reserve_nm: tuple[np.ndarray, np.ndarray] | None = None
+    """Share of the friction that was added to them, see other_motion."""
+
+
 def put_supported(bundle: Bundle, motion: LimitMotion, config: SupportedConfig = SupportedConfig()) -> dict:
-    """Limits for the smallest budget of false alarms that this motion supports.
+    """Limits for the smallest budget of false alarms that this motion supports; see raised()."""
+    found = raised(bundle, motion, config)
+    motion.note(found.words)
+    put_other_motion(bundle, motion, found)
+    note_moments(bundle, [Moment(**one) for one in found.facts.get("one_moment", [])], motion.note)
+    return found.facts
+
+
+def raised(bundle: Bundle, motion: LimitMotion, config: SupportedConfig = SupportedConfig()) -> Raised:
+    """Set limits for the smallest budget that this motion supports.
 
     If the motion is too short for that, the largest errors are used. Both are raised, since minutes do not contain all
     changes of friction with temperature and time: limits that follow the error by `factor_after` and a share of the
     friction, constant ones by a share of the friction at the 95 % quantile of a joint's speed.
     """
     alarm, follows, promised = motion.alarm, bundle.error_scale.follows, None
-    limits = LimitsConfig(confidence=config.confidence, at_most_seen=follows)
     try:
         peaks = collect_peaks(bundle, motion.held_out, alarm.holds_s, motion.threads, motion.margins)
-        promised = promised_limits(bundle, peaks, alarm, limits, motion.poses)
+        promised = promised_limits(bundle, peaks, alarm, limits_config(follows, config), motion.poses)
         promised = replace(promised, suspects=motion.suspects)
         promised.put(bundle, alarm)
         words, facts = f"no calibration recordings. {promised.sentence()}", promised.facts()
@@ -72,27 +95,51 @@ def put_supported(bundle: Bundle, motion: LimitMotion, config: SupportedConfig =
         set_limits(bundle, paper_limits(bundle, motion.held_out, motion.threads, motion.margins), alarm)
         words = f"limits are the largest errors seen, and promise nothing ({error})"
         facts = {"sentence": words}
+    factor, by_nm, reserve_nm = 1.0, np.zeros(bundle.joints), None
     if follows:
-        factor, by_nm = raise_following(bundle, motion, promised, limits, config, facts), np.zeros(bundle.joints)
+        factor, reserve_nm = raise_following(bundle, motion, promised, config, facts)
         words += f" They are {factor:.3g} times what these minutes show."
         if "friction_reserve" in facts:
             words += f" {facts['friction_reserve']:.1%} of the friction is added: so short a time shows little of its"
             words += " changes."
     else:
-        factor, by_nm = 1.0, constant_reserve_nm(bundle, motion)
+        by_nm = constant_reserve_nm(bundle, motion)
         change_limits(bundle, lambda limit_nm: limit_nm + by_nm)
         if by_nm.any():
             facts["friction_reserve_nm"] = dict(zip(names_of(bundle), by_nm.tolist(), strict=True))
             words += f" They are raised by {alarm.friction_reserve:.0%} of the friction."
-    motion.note(words)
-    if "other_motion" in facts:
-        motion.note(facts["other_motion"]["sentence"])
     if promised is not None and promised.moments:
         added = dict(zip(names_of(bundle), by_nm.tolist(), strict=True))
-        moments = [moment.scaled(factor, added[moment.joint]) for moment in promised.moments]
-        facts["one_moment"] = [moment.facts() for moment in moments]
-        note_moments(bundle, moments, motion.note)
-    return facts
+        facts["one_moment"] = [moment.scaled(factor, added[moment.joint]).facts() for moment in promised.moments]
+    return Raised(promised, facts, words, factor, reserve_nm)
+
+
+def limits_config(follows: bool, config: SupportedConfig = SupportedConfig()) -> LimitsConfig:
+    """How limits follow from the peaks of minutes."""
+    return LimitsConfig(confidence=config.confidence, at_most_seen=follows)
+
+
+def put_other_motion(bundle: Bundle, motion: LimitMotion, found: Raised, factor: float = 1.0) -> None:
+    """Test limits that follow the error in each recording by limits from the others, and add it to the facts.
+
+    Args:
+        found: the limits; its facts receive the test.
+        factor: on the limits, after they were raised.
+    """
+    if motion.rows is None or found.promised is None or not bundle.error_scale.follows:
+        return
+    watched = np.flatnonzero(bundle.monitored)
+    names = [names_of(bundle)[j] for j in watched]
+    reserve = None
+    if found.reserve_nm is not None:
+        at_rest, per_speed = found.reserve_nm
+        reserve = factor * at_rest, factor * per_speed
+    rows, limits = motion.rows.of_joints(watched), limits_config(follows=True)
+    other = other_motion(rows, names, found.promised, limits, factor * found.factor, reserve)
+    found.facts["other_motion"] = NOT_MEASURED if other is None else other.facts()
+    motion.note(found.facts["other_motion"]["sentence"])
+    if other is not None and other.broken:
+        found.facts["sentence"] += f" {other.broken}: expect {other.factor:.2g} times as many."
 
 
 def names_of(bundle: Bundle) -> list[str]:
@@ -101,18 +148,13 @@ def names_of(bundle: Bundle) -> list[str]:
 
 
 def raise_following(
-    bundle: Bundle,
-    motion: LimitMotion,
-    promised: PromisedLimits | None,
-    limits: LimitsConfig,
-    config: SupportedConfig,
-    facts: dict,
-) -> float:
-    """Raise limits that follow the error, and test them in other motion; returns the factor.
+    bundle: Bundle, motion: LimitMotion, promised: PromisedLimits | None, config: SupportedConfig, facts: dict
+) -> tuple[float, tuple[np.ndarray, np.ndarray] | None]:
+    """Raise limits that follow the error; returns the factor, and what was added of the monitored joints' friction.
 
     Args:
         promised: None: the limits are the largest errors.
-        facts: receives factor, reserve and test.
+        facts: receives factor and reserve.
     """
     seen_s = total_s(whole_recordings(motion.held_out))
     factor = round(factor_after(seen_s, motion.alarm.minutes_factor, config.decay_s), 3)
@@ -120,20 +162,14 @@ def raise_following(
         factor = max(factor, config.unpromised_factor)
     change_limits(bundle, lambda limit_nm: factor * limit_nm)
     facts["minutes_factor"] = factor
-    watched, added = np.flatnonzero(bundle.monitored), None
     share = motion.alarm.friction_reserve * math.exp(-seen_s / config.decay_s)
-    if motion.fit is not None and share > config.least_reserve:
-        at_rest, per_speed = friction_line(motion.fit, usual_speed_rad_s(motion.held_out))
-        add_friction(bundle, share, at_rest, per_speed)
-        added = share * at_rest[watched], share * per_speed[watched]
-        facts["friction_reserve"] = share
-    if motion.rows is not None and promised is not None:
-        names = [names_of(bundle)[j] for j in watched]
-        other = other_motion(motion.rows.of_joints(watched), names, promised, limits, factor, added)
-        facts["other_motion"] = NOT_MEASURED if other is None else other.facts()
-        if other is not None and other.broken:
-            facts["sentence"] += f" {other.broken}: expect {other.factor:.2g} times as many."
-    return factor
+    if motion.fit is None or share <= config.least_reserve:
+        return factor, None
+    at_rest, per_speed = friction_line(motion.fit, usual_speed_rad_s(motion.held_out))
+    add_friction(bundle, share, at_rest, per_speed)
+    facts["friction_reserve"] = share
+    watched = np.array(bundle.monitored)
+    return factor, (share * at_rest[watched], share * per_speed[watched])
 
 
 def constant_reserve_nm(bundle: Bundle, motion: LimitMotion) -> np.ndarray:

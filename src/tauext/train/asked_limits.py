@@ -1,0 +1,240 @@
+r"""Limits of the budget that was asked for, from whatever motion there is.
+
+The limits of the budget that the motion proves give the shape: how joints and regions compare. One factor on all of
+them then meets the budget asked for. With x the worst ratio of a joint's held error to its limit, its peaks over a
+threshold follow a generalised Pareto distribution (fit/tail.py), whose shape has a prior: dozens of peaks do not tell
+it. Friction of other hours and days multiplies the errors by g, a lognormal factor. Of the draws of both, the factor f
+is the level for which
+
+.. math:: \operatorname{median}\ \lambda(f / g) = B
+
+and at least the largest peak that the budget B does not allow. The other draws give the interval of the rate.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import ndtri
+
+from tauext._core import Bundle
+from tauext.fit.tail import FalseAlarmBudget, Tail, TailConfig, TooFewPeaks, duration, fit_tail
+from tauext.train.held_peaks import REGIONS, Moment, Peaks, collect_peaks
+from tauext.train.hits import noticed_pushes_n
+from tauext.train.paper_limits import LimitMotion
+from tauext.train.promised_limits import PromisedLimits, calibrated, note_moments
+from tauext.train.supported_limits import Raised, put_other_motion, raised
+
+
+@dataclass(frozen=True)
+class AskedConfig:
+    """How limits are extrapolated to a budget that the motion does not prove."""
+
+    tail: TailConfig = TailConfig(
+        exceedances=(200, 140, 100, 70, 50, 35, 25, 18),
+        share=0.15,
+        fewest=12,
+        least_shape=-0.05,
+        usual_shape=0.1,
+        shape_spread=0.1,
+    )
+    """Fit of the tail of the worst ratio: a seventh of the peaks, of which minutes have few."""
+    growth: float = 0.25
+    """Median of ln g, the growth of errors by friction that minutes do not show, and ..."""
+    growth_spread: float = 0.2
+    """... its standard deviation; both fall as ..."""
+    growth_hours: float = 1.0
+    """... 1 / sqrt(1 + hours / this): hours contain warm-up, programs and pauses of their own."""
+    few_peaks: float = 0.12
+    """Scale of an exponential tail, as a share of the largest error, where there are too few peaks for a fit."""
+    interval: float = 0.9
+    """Probability of the stated interval."""
+    times_as_many: tuple[float, ...] = (8.0, 48.0)
+    """Budgets stated beside the one asked for, in false alarms of it."""
+
+
+@dataclass(frozen=True)
+class WorstErrors:
+    """Rates at which the arm's worst ratio of error to limit exceeds levels, in draws of what is unknown."""
+
+    peaks: np.ndarray
+    """Descending, (peaks,)."""
+    hours: float
+    levels: np.ndarray
+    """Rising, (levels,)."""
+    rates: np.ndarray
+    """(draws, levels), [1/h]."""
+    tail: Tail | None
+
+    @classmethod
+    def of(cls, peaks: np.ndarray, hours: float, config: AskedConfig) -> WorstErrors:
+        """Fit the tail of these peaks, descending, (peaks,), which were seen in so many hours.
+
+        Raises:
+            TooFewPeaks: there is none.
+        """
+        peaks = peaks[peaks > 0]
+        if not len(peaks):
+            raise TooFewPeaks(0, 1)
+        levels = np.r_[np.unique(peaks[:200]), peaks[0] * np.geomspace(1.001, 50, 300)]
+        draws = config.tail.draws
+        growth = 1 / math.sqrt(1 + hours / config.growth_hours)
+        even = (np.random.default_rng(1).permutation(draws) + 0.5) / draws
+        grown = np.exp(growth * (config.growth + config.growth_spread * ndtri(even)))
+        try:
+            tail = fit_tail(peaks, hours, config.tail)
+        except TooFewPeaks:
+            beyond = np.maximum(levels[None] / grown[:, None] / peaks[0] - 1, 0)
+            return cls(peaks, hours, levels, np.exp(-beyond / config.few_peaks) / hours, None)
+        fine = np.sort(np.r_[levels / grown.max(), levels])
+        logs = np.log(np.maximum(tail.rates(fine, np.random.default_rng(0)), 1e-30))
+        rates = np.exp([np.interp(levels / g, fine, one) for g, one in zip(grown, logs, strict=True)])
+        return cls(peaks, hours, levels, rates, tail)
+
+    def level(self, rate_per_hour: float) -> float:
+        """Level that is exceeded at this rate in the median of the draws; no less than `seen`."""
+        middle = np.log(np.maximum(np.median(self.rates, axis=0), 1e-30))
+        level = float(np.interp(-math.log(rate_per_hour), -middle, self.levels))
+        return max(level, self.seen(rate_per_hour))
+
+    def seen(self, rate_per_hour: float) -> float:
+        """Largest peak that this rate does not allow: more than rate times hours are above no smaller one."""
+        return float(self.peaks[min(int(rate_per_hour * self.hours), len(self.peaks) - 1)])
+
+    def between(self, level: float, probability: float) -> tuple[float, float]:
+        """Interval of the rate over a level that holds with this probability, [1/h]."""
+        logs = np.log(np.maximum(self.rates, 1e-30))
+        rates = np.array([np.interp(level, self.levels, one) for one in logs])
+        low, high = np.exp(np.quantile(rates, [(1 - probability) / 2, (1 + probability) / 2])).tolist()
+        return low, high
+
+
+def put_asked(bundle: Bundle, motion: LimitMotion, config: AskedConfig = AskedConfig()) -> dict:
+    """Set limits for the budget asked for; returns facts. Calibration recordings that prove it set them alone.
+
+    Raises:
+        TrainingError: see calibrated() and raised().
+    """
+    asked = FalseAlarmBudget(motion.alarm.false_alarms, motion.alarm.in_hours)
+    found, peaks = proved(bundle, motion)
+    promised, facts = found.promised, found.facts
+    watched = np.flatnonzero(bundle.monitored)
+    limits = np.array([bundle.sliding_limit_nm, bundle.near_stiction_limit_nm])[:, watched]
+    worst = WorstErrors.of(peaks.worst(limits), peaks.hours, config)
+    factor = 1.0
+    if promised is None or not promised.promise.is_supported or not motion.by_calibration:
+        factor = worst.level(asked.rate_per_hour)
+        put_factors(bundle, factor, worst.level(max(motion.alarm.contacts_an_hour, asked.rate_per_hour)))
+        for moment in facts.get("one_moment", []):
+            moment["limit_nm"] *= factor
+            moment["without_nm"] *= factor
+        low, high = worst.between(factor, config.interval)
+        facts["extrapolated"] = {
+            "per_hour": asked.rate_per_hour,
+            "between_per_hour": [low, high],
+            "probability": config.interval,
+            "hours": worst.hours,
+            "factor": factor,
+            "largest_seen": float(worst.peaks[0] / factor),
+            "shape": None if worst.tail is None else worst.tail.shape,
+        }
+        facts |= {
+            "sentence": asked_sentence(asked, facts["extrapolated"], promised),
+            "set_for": str(asked),
+            "hold_s": bundle.hold_s,
+        }
+    facts["budgets"] = budgets(bundle, motion, worst, factor, asked, config)
+    motion.note(facts["sentence"])
+    motion.note(budgets_sentence(facts["budgets"]))
+    put_other_motion(bundle, motion, replace(found, promised=promised and replace(promised, budget=asked)), factor)
+    note_moments(bundle, [Moment(**one) for one in facts.get("one_moment", [])], motion.note)
+    return facts
+
+
+def proved(bundle: Bundle, motion: LimitMotion) -> tuple[Raised, Peaks]:
+    """Set the limits of the budget that the motion proves; returns them and the peaks at their hold time."""
+    if motion.by_calibration:
+        promised, facts = calibrated(bundle, motion)
+        assert promised.peaks is not None
+        return Raised(promised, facts, facts["sentence"]), promised.peaks
+    found = raised(bundle, motion)
+    (peaks,) = collect_peaks(bundle, motion.held_out, (bundle.hold_s,), motion.threads, motion.margins)
+    return found, peaks.of_joints(np.flatnonzero(bundle.monitored))
+
+
+def put_factors(bundle: Bundle, collision: float, contact: float) -> None:
+    """Multiply a bundle's limits: those of a contact follow from those of a collision, and are no higher."""
+    for region in REGIONS:
+        limit_nm = np.array(getattr(bundle, f"{region}_limit_nm"))
+        setattr(bundle, f"contact_{region}_limit_nm", (min(contact, collision) * limit_nm).tolist())
+        setattr(bundle, f"{region}_limit_nm", (collision * limit_nm).tolist())
+
+
+def budgets(
+    bundle: Bundle,
+    motion: LimitMotion,
+    worst: WorstErrors,
+    factor: float,
+    asked: FalseAlarmBudget,
+    config: AskedConfig,
+) -> list[dict]:
+    """The budget asked for and some that allow more false alarms, with their share of the limits and the pushes that
+    they notice.
+
+    Args:
+        factor: on the limits to which `worst` refers.
+    """
+    pushes, found = noticed_pushes_n(bundle, motion.poses), []
+    for times in (1.0, *config.times_as_many):
+        budget = FalseAlarmBudget(asked.alarms, asked.hours / times)
+        share = 1.0 if times == 1 else min(worst.level(budget.rate_per_hour) / factor, 1.0)
+        found.append(
+            {
+                "text": str(budget),
+                "per_hour": budget.rate_per_hour,
+                "between_per_hour": list(worst.between(share * factor, config.interval)),
+                "share_of_limits": share,
+                "push_n": {place: share * push for place, push in pushes.items()},
+            }
+        )
+    return found
+
+
+def asked_sentence(asked: FalseAlarmBudget, found: dict, promised: PromisedLimits | None) -> str:
+    """What the limits are set for, and what the data alone prove."""
+    low, high = found["between_per_hour"]
+    words = (
+        f"Limits are set for {asked}, extrapolated from {duration(found['hours'], 'down')} "
+        f"({found['probability']:.0%}: 1 in {duration(1 / high)} {rarest(low)})."
+    )
+    if promised is None:
+        return f"{words} So short a time proves nothing: record more free motion."
+    promise = promised.promise
+    words += f" The data alone prove 1 in {duration(promise.supported.hours, 'down')} (at {promise.confidence:.0%})"
+    if not promise.is_supported:
+        words += f"; {duration(promise.missing_hours, 'up')} more of free motion would prove {asked}"
+    if promised.suspects:
+        several = promised.suspects > 1
+        words += f". {promised.suspects} suspected touch{'es are' if several else ' is'} left out"
+    return f"{words}."
+
+
+RAREST_PER_HOUR = 1e-3
+"""Of a smaller rate, `or rarer` is stated."""
+
+
+def rarest(per_hour: float) -> str:
+    """End of an interval of rates."""
+    return "or rarer" if per_hour < RAREST_PER_HOUR else f"to 1 in {duration(1 / per_hour)}"
+
+
+def budgets_sentence(found: Sequence[dict]) -> str:
+    """The budgets with the pushes that they notice."""
+    entries = []
+    for one in found:
+        pushes = ", ".join(f"{push:.3g} N at the {place}" for place, push in one["push_n"].items())
+        entries.append(f"{one['text']}: {pushes or format(one['share_of_limits'], '.0%') + ' of these limits'}")
+    return f"noticed pushes by budget: {'; '.join(entries)}"

@@ -1,0 +1,190 @@
+"""Limits of a budget that the motion does not prove, and the scale in other programs: errors whose tail is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from test_few_data import RATE_HZ, motion, planar_arm
+from test_promised_limits import alarms_of, noisy, observer
+
+from tauext import _core
+from tauext.config import AlarmConfig, ObserverConfig, PriorConfig
+from tauext.fit.bundle_writing import build_setup, make_bundle
+from tauext.fit.prior import Inertia, fit_terms
+from tauext.fit.tail import TooFewPeaks
+from tauext.train.asked_limits import AskedConfig, WorstErrors, budgets_sentence, put_asked
+from tauext.train.error_scale import HeldOut, collect_rows, fit_error_scale, with_unit_scale
+from tauext.train.held_peaks import Peaks
+from tauext.train.other_programs import OtherProgramsConfig, programs, spread_rows, widen_for_other_programs
+from tauext.train.paper_limits import LimitMotion
+
+STEADY = AskedConfig(growth=0.0, growth_spread=0.0)
+
+
+def exponential(rng, hours: float, per_hour: float = 3600.0, scale: float = 0.1) -> np.ndarray:
+    """Peaks beyond 1, descending, of a Poisson process: the level x is exceeded per_hour exp(-(x - 1)/scale) times."""
+    return np.sort(1 + rng.exponential(scale, rng.poisson(per_hour * hours)))[::-1]
+
+
+@pytest.mark.parametrize("hours", [0.05, 0.2, 1.0])
+def test_the_rate_over_the_level_is_the_one_asked_for_in_the_median(hours):
+    rng, true, covered = np.random.default_rng(7), [], 0
+    for _ in range(60):
+        worst = WorstErrors.of(exponential(rng, hours), hours, STEADY)
+        level = worst.level(0.125)
+        true.append(3600 * np.exp(-(level - 1) / 0.1))
+        low, high = worst.between(level, 0.9)
+        covered += low <= true[-1] <= high
+    # The prior of the shape reaches to heavier tails than this one, and a level below a peak that was seen is raised.
+    assert 0.125 / 12 < np.median(true) < 0.125 * 2
+    assert covered >= 48  # of 60: 54 expected; fewer than 48 once in a hundred times
+
+
+def test_growth_raises_the_level_and_fades_with_the_hours():
+    rng = np.random.default_rng(3)
+    minutes, day = exponential(rng, 0.1), exponential(rng, 24.0)
+    grown = AskedConfig(growth=0.3, growth_spread=0.0, growth_hours=1.0)
+    ratio = WorstErrors.of(minutes, 0.1, grown).level(0.5) / WorstErrors.of(minutes, 0.1, STEADY).level(0.5)
+    assert ratio == pytest.approx(np.exp(0.3 / np.sqrt(1.1)), rel=1e-2)
+    ratio = WorstErrors.of(day, 24.0, grown).level(0.5) / WorstErrors.of(day, 24.0, STEADY).level(0.5)
+    assert ratio == pytest.approx(np.exp(0.3 / 5), rel=1e-2)
+
+
+def test_a_peak_that_the_budget_does_not_allow_is_never_exceeded_by_the_limits():
+    peaks = np.r_[3.0, exponential(np.random.default_rng(1), 0.5)]
+    assert WorstErrors.of(peaks, 0.5, STEADY).level(1.0) >= 3.0  # 1 in 1 h allows none in half an hour
+    assert WorstErrors.of(peaks, 0.5, STEADY).level(100.0) < 1.5
+
+
+def test_a_few_peaks_have_an_exponential_tail_and_none_are_refused():
+    worst = WorstErrors.of(np.array([2.0, 1.0, 0.5]), 0.01, STEADY)
+    assert worst.tail is None
+    assert worst.level(0.125) == pytest.approx(2 * (1 + STEADY.few_peaks * np.log(100 / 0.125)), rel=1e-2)
+    with pytest.raises(TooFewPeaks):
+        WorstErrors.of(np.zeros(3), 0.01, STEADY)
+
+
+def test_worst_peaks_are_those_of_the_largest_ratio_a_second_apart():
+    rng, t_ns = np.random.default_rng(5), np.arange(20_000, dtype=np.int64) * 1_000_000
+    error, near = np.abs(lfilter([0.05], [1, -0.95], rng.normal(size=(20_000, 2)), axis=0)), rng.random((20_000, 2)) < 0
+    peaks = Peaks(("a", "b"), 0.0)
+    for name in ("one", "two"):
+        peaks.add(name, t_ns, error, near, np.ones(len(t_ns), dtype=bool))
+    limits = np.array([[0.2, 0.3], [0.5, np.inf]])
+    listed = [
+        (int(number), int(at), float(nm / limit))
+        for j, of_limit in enumerate(limits.T)
+        for region, limit in enumerate(of_limit)
+        for nm, (number, at) in zip(peaks.nm[j][region], peaks.at[j][region], strict=True)
+    ]
+    expected = [  # by hand: every peak of a joint without a larger one less than a second away
+        ratio
+        for number, at, ratio in listed
+        if all(other <= ratio for k, t, other in listed if k == number and abs(t - at) < 1_000_000_000)
+    ]
+    assert len(expected) > 20 and peaks.worst(limits) == pytest.approx(sorted(expected, reverse=True))
+
+
+def asked(bundle: _core.Bundle, alarm: AlarmConfig, config: AskedConfig = STEADY, **motion) -> tuple[dict, list[str]]:
+    """Limits from a minute of the noisy mass, facts and notes."""
+    notes: list[str] = []
+    given = {"unseen": [HeldOut(noisy(0))]} | motion
+    return put_asked(bundle, LimitMotion("made", alarm, 1, note=notes.append, **given), config), notes
+
+
+def test_a_minute_gives_limits_of_one_alarm_in_six_minutes():
+    bundle = observer()
+    alarm = AlarmConfig(false_alarms=1, in_hours=0.1, contacts_an_hour=600)
+    facts, notes = asked(bundle, alarm)
+    assert alarms_of(bundle, 2) <= 4  # in six minutes: one is expected, more than four once in 270 times
+    assert alarms_of(bundle, 1) >= 10  # 60 are expected; contacts may be ten times as frequent as those of the peaks
+    assert (np.array(bundle.contact_sliding_limit_nm) < bundle.sliding_limit_nm).all()
+    assert facts["set_for"] == "1 in 6 minutes" and facts["promise"]["supported"] is False
+    low, high = facts["extrapolated"]["between_per_hour"]
+    assert low < 10 < high and facts["extrapolated"]["largest_seen"] <= 1
+    shares = [one["share_of_limits"] for one in facts["budgets"]]
+    assert shares[0] == 1 and shares == sorted(shares, reverse=True)
+    assert (
+        "Limits are set for 1 in 6 minutes, extrapolated from" in notes[0] and "The data alone prove 1 in" in notes[0]
+    )
+    assert notes[1] == budgets_sentence(facts["budgets"]) and "1 in 6 minutes:" in notes[1]
+
+
+def test_calibration_that_proves_the_budget_sets_the_limits_alone():
+    alarm = AlarmConfig(false_alarms=1, in_hours=0.02, contacts_an_hour=600)
+    recordings = [noisy(k) for k in range(5)]
+    loaders = [lambda one=one: one for one in recordings]
+    bundle, proved = observer(), observer()
+    facts, notes = asked(bundle, alarm, unseen=[], calibration=loaders)
+    from tauext.train.promised_limits import put_promised
+
+    put_promised(proved, LimitMotion("made", alarm, 1, calibration=loaders))
+    assert bundle.sliding_limit_nm == proved.sliding_limit_nm
+    assert "extrapolated" not in facts and "supported by" in notes[0] and len(facts["budgets"]) == 3
+
+
+# --- The error scale in other programs.
+
+
+def fitted(seconds: float):
+    """Setup, fit, recordings and bundle of a planar arm."""
+    recordings = [motion(seconds=seconds, seed=k, name=f"made-{k}") for k in range(5)]
+    setup = build_setup(planar_arm(), recordings[0], ObserverConfig(), "prior")
+    fit = fit_terms(setup, recordings, PriorConfig(), [[], []], Inertia())
+    bundle = make_bundle("made", replace(setup, prior=fit.settings), 0.02, recordings[0])
+    rows = collect_rows(bundle, [HeldOut(one) for one in recordings], 1)
+    fit_error_scale(bundle, rows)
+    return setup, fit, recordings, bundle, rows
+
+
+def test_programs_repeat_spans_of_each_joint_at_their_pace():
+    recording = motion(seconds=60.0)
+    for pace in (1.0, 2.0):
+        made = list(programs([recording], pace, np.random.default_rng(0), OtherProgramsConfig(pace_s=30.0)))
+        assert sum(len(t_ns) for t_ns, *_ in made) == pytest.approx(30 * RATE_HZ, rel=0.1)
+        for t_ns, q, dq in made:
+            slope = np.gradient(q, 1e-9 * (t_ns - t_ns[0]), axis=0)
+            assert np.sqrt(np.mean((slope - dq)[5:-5] ** 2)) < 0.05 * np.sqrt(np.mean(dq**2))
+            assert (q >= recording.q.min(axis=0)).all() and (q <= recording.q.max(axis=0)).all()
+
+
+def test_the_spread_of_a_weight_is_its_jackknife_error_behind_the_filter():
+    setup, fit, recordings, bundle, _ = fitted(20.0)
+    config = OtherProgramsConfig(pace_s=15.0, paces=(1.5,))
+    by = 0.7
+    for k, one in enumerate(fit.left_out):  # all folds alike, but for one viscous weight of one
+        weights = np.array(fit.settings.weights).reshape(2, -1)
+        term = next(m for m, t in enumerate(fit.settings.terms) if t.kind == _core.TermKind.viscous and t.a == 1)
+        weights[1, term] += by * (k == 2)
+        one.settings.weights = weights.ravel().tolist()
+        one.settings.corrected_links = fit.settings.corrected_links
+    features, spread = spread_rows(bundle, setup, fit, recordings, config)
+    expected = []
+    for _, _, dq in programs(recordings, 1.5, np.random.default_rng(0), config):
+        v = dq[:, 1]
+        mean = np.r_[v[0], (v[1:] + v[:-1]) / 2]
+        kept = np.exp(-setup.observer.gain_per_s / RATE_HZ)
+        expected.append(lfilter([1 - kept], [1, -kept], mean))
+    warm = int(round(8 / setup.observer.gain_per_s * RATE_HZ))
+    reached = np.sqrt(4 / 5) * by * np.abs(np.concatenate([one[warm:] for one in expected]))
+    assert spread[:, 0] == pytest.approx(0, abs=1e-12)
+    assert np.quantile(spread[:, 1], [0.5, 0.9]) == pytest.approx(np.quantile(reached, [0.5, 0.9]), rel=0.03)
+    assert len(features) == len(spread)
+
+
+def test_the_scale_reaches_the_spread_in_faster_programs_and_stays_where_data_determine_the_prior():
+    grew = {}
+    for seconds in (8.0, 200.0):
+        setup, fit, recordings, bundle, rows = fitted(seconds)
+        config = OtherProgramsConfig(pace_s=40.0)
+        facts = widen_for_other_programs(bundle, setup, fit, recordings, rows, config)
+        weights = np.array(bundle.error_scale.limit_weights).reshape(2, -1)
+        assert np.median(rows.scale(weights), axis=0) == pytest.approx(1)
+        features, spread = spread_rows(with_unit_scale(bundle), setup, fit, recordings, config)
+        scale = np.einsum("rjf,jf->rj", features, weights)
+        assert (scale <= np.array(bundle.error_scale.largest) * (1 + 1e-9)).all()
+        level = np.quantile(rows.error_nm / rows.scale(weights), 0.999, axis=0)
+        assert (np.mean(config.times * spread <= 1.5 * level * scale, axis=0) > 0.97).all()
+        grew[seconds] = max(facts["scale_grew_by"].values())
+    assert grew[200.0] < 1.2 and grew[8.0] > grew[200.0]

@@ -18,6 +18,7 @@ from tauext.train.error_scale import HeldOut, collect_rows, fit_error_scale, wit
 from tauext.train.held_peaks import Peaks
 from tauext.train.other_programs import OtherProgramsConfig, programs, spread_rows, widen_for_other_programs
 from tauext.train.paper_limits import LimitMotion
+from tauext.train.promised_limits import put_promised
 
 STEADY = AskedConfig(growth=0.0, growth_spread=0.0)
 
@@ -117,8 +118,6 @@ def test_calibration_that_proves_the_budget_sets_the_limits_alone():
     loaders = [lambda one=one: one for one in recordings]
     bundle, proved = observer(), observer()
     facts, notes = asked(bundle, alarm, unseen=[], calibration=loaders)
-    from tauext.train.promised_limits import put_promised
-
     put_promised(proved, LimitMotion("made", alarm, 1, calibration=loaders))
     assert bundle.sliding_limit_nm == proved.sliding_limit_nm
     assert "extrapolated" not in facts and "supported by" in notes[0] and len(facts["budgets"]) == 3
@@ -178,7 +177,7 @@ def test_the_scale_reaches_the_spread_in_faster_programs_and_stays_where_data_de
     for seconds in (8.0, 200.0):
         setup, fit, recordings, bundle, rows = fitted(seconds)
         config = OtherProgramsConfig(pace_s=40.0)
-        facts = widen_for_other_programs(bundle, setup, fit, recordings, rows, config)
+        facts, _ = widen_for_other_programs(bundle, setup, fit, recordings, rows, config)
         weights = np.array(bundle.error_scale.limit_weights).reshape(2, -1)
         assert np.median(rows.scale(weights), axis=0) == pytest.approx(1)
         features, spread = spread_rows(with_unit_scale(bundle), setup, fit, recordings, config)

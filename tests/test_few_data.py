@@ -91,7 +91,9 @@ def test_one_recording_is_enough_and_the_run_file_says_how_it_was_used(tmp_path,
 
 @pytest.mark.slow
 def test_the_run_file_and_show_report_how_limits_hold_from_one_recording_to_the_next(tmp_path, monkeypatch, capsys):
-    _, facts = trained(tmp_path, monkeypatch, [motion(seed=k, name=f"made-{k}") for k in range(4)], recipe="prior")
+    _, facts = trained(
+        tmp_path, monkeypatch, [motion(seed=k, name=f"made-{k}") for k in range(4)], recipe="prior", limits="supported"
+    )
     other = facts["limits"]["other_motion"]
     assert set(other["false"]) == {f"made-{k}" for k in range(4)} and other["promised"] == pytest.approx(3, rel=0.1)
     assert other["factor"] == sum(other["false"].values()) / other["promised"] and other["sentence"] in facts["notes"]

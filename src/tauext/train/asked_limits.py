@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtri
@@ -26,7 +26,7 @@ from tauext.train.held_peaks import REGIONS, Moment, Peaks, collect_peaks
 from tauext.train.hits import noticed_pushes_n
 from tauext.train.paper_limits import LimitMotion
 from tauext.train.promised_limits import PromisedLimits, calibrated, note_moments
-from tauext.train.supported_limits import Raised, put_other_motion, raised
+from tauext.train.supported_limits import NOT_MEASURED, Raised, left_out_in_turn, raised
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,11 @@ class AskedConfig:
         shape_spread=0.1,
     )
     """Fit of the tail of the worst ratio: a seventh of the peaks, of which minutes have few."""
-    growth: float = 0.25
+    growth: float = 0.2
     """Median of ln g, the growth of errors by friction that minutes do not show, and ..."""
     growth_spread: float = 0.2
     """... its standard deviation; both fall as ..."""
-    growth_hours: float = 1.0
+    growth_hours: float = 0.1
     """... 1 / sqrt(1 + hours / this): hours contain warm-up, programs and pauses of their own."""
     few_peaks: float = 0.12
     """Scale of an exponential tail, as a share of the largest error, where there are too few peaks for a fit."""
@@ -119,11 +119,8 @@ def put_asked(bundle: Bundle, motion: LimitMotion, config: AskedConfig = AskedCo
         TrainingError: see calibrated() and raised().
     """
     asked = FalseAlarmBudget(motion.alarm.false_alarms, motion.alarm.in_hours)
-    found, peaks = proved(bundle, motion)
+    found, worst, recordings = proved(bundle, motion, config)
     promised, facts = found.promised, found.facts
-    watched = np.flatnonzero(bundle.monitored)
-    limits = np.array([bundle.sliding_limit_nm, bundle.near_stiction_limit_nm])[:, watched]
-    worst = WorstErrors.of(peaks.worst(limits), peaks.hours, config)
     factor = 1.0
     if promised is None or not promised.promise.is_supported or not motion.by_calibration:
         factor = worst.level(asked.rate_per_hour)
@@ -137,6 +134,7 @@ def put_asked(bundle: Bundle, motion: LimitMotion, config: AskedConfig = AskedCo
             "between_per_hour": [low, high],
             "probability": config.interval,
             "hours": worst.hours,
+            "recordings_left_out": recordings,
             "factor": factor,
             "largest_seen": float(worst.peaks[0] / factor),
             "shape": None if worst.tail is None else worst.tail.shape,
@@ -149,20 +147,37 @@ def put_asked(bundle: Bundle, motion: LimitMotion, config: AskedConfig = AskedCo
     facts["budgets"] = budgets(bundle, motion, worst, factor, asked, config)
     motion.note(facts["sentence"])
     motion.note(budgets_sentence(facts["budgets"]))
-    put_other_motion(bundle, motion, replace(found, promised=promised and replace(promised, budget=asked)), factor)
     note_moments(bundle, [Moment(**one) for one in facts.get("one_moment", [])], motion.note)
     return facts
 
 
-def proved(bundle: Bundle, motion: LimitMotion) -> tuple[Raised, Peaks]:
-    """Set the limits of the budget that the motion proves; returns them and the peaks at their hold time."""
+def proved(bundle: Bundle, motion: LimitMotion, config: AskedConfig) -> tuple[Raised, WorstErrors, int]:
+    """Set the limits of the budget that the motion proves; returns them and the errors beside them.
+
+    From three recordings on, each one's errors are compared with limits from the others: motion of other programs then
+    has a part in the tail. The last value returned is their number, or 0.
+    """
     if motion.by_calibration:
         promised, facts = calibrated(bundle, motion)
         assert promised.peaks is not None
-        return Raised(promised, facts, facts["sentence"]), promised.peaks
+        return Raised(promised, facts, facts["sentence"]), worst_of(bundle, promised.peaks, config), 0
     found = raised(bundle, motion)
+    if motion.rows is not None and found.promised is not None and bundle.error_scale.follows:
+        other = left_out_in_turn(bundle, motion, found)
+        if other is not None:
+            # As the limits are not those that are proved, what is said of these is left out.
+            found.facts["other_motion"] = {key: value for key, value in other.facts().items() if key != "sentence"}
+            return found, WorstErrors.of(other.falling, other.hours, config), len(other.peaks)
+        found.facts["other_motion"] = NOT_MEASURED
+        motion.note(NOT_MEASURED["sentence"])
     (peaks,) = collect_peaks(bundle, motion.held_out, (bundle.hold_s,), motion.threads, motion.margins)
-    return found, peaks.of_joints(np.flatnonzero(bundle.monitored))
+    return found, worst_of(bundle, peaks.of_joints(np.flatnonzero(bundle.monitored)), config), 0
+
+
+def worst_of(bundle: Bundle, peaks: Peaks, config: AskedConfig) -> WorstErrors:
+    """The errors of the monitored joints beside the bundle's limits."""
+    limits = np.array([bundle.sliding_limit_nm, bundle.near_stiction_limit_nm])[:, np.array(bundle.monitored)]
+    return WorstErrors.of(peaks.worst(limits), peaks.hours, config)
 
 
 def put_factors(bundle: Bundle, collision: float, contact: float) -> None:
@@ -206,8 +221,10 @@ def budgets(
 def asked_sentence(asked: FalseAlarmBudget, found: dict, promised: PromisedLimits | None) -> str:
     """What the limits are set for, and what the data alone prove."""
     low, high = found["between_per_hour"]
+    several = found["recordings_left_out"]
     words = (
         f"Limits are set for {asked}, extrapolated from {duration(found['hours'], 'down')} "
+        f"{f'of {several} recordings, each beside limits from the others ' if several else ''}"
         f"({found['probability']:.0%}: 1 in {duration(1 / high)} {rarest(low)})."
     )
     if promised is None:

@@ -113,7 +113,8 @@ def put_error_scale(run: TrainingRun, bundle: Bundle, setup: Setup, motion: Limi
         if started is None:
             started = fit_error_scale(bundle, rows, run.config.drift)
             if motion.fit is not None:
-                started |= {"other_programs": widen_for_other_programs(bundle, setup, motion.fit, run.training, rows)}
+                programs, added = widen_for_other_programs(bundle, setup, motion.fit, run.training, rows)
+                started, motion = started | {"other_programs": programs}, replace(motion, added_weights=added)
         run.facts["error_scale"] = started
         for one in motion.left_out:
             assert one.bundle is not None

@@ -52,10 +52,11 @@ def widen_for_other_programs(
     recordings: Sequence[Recording],
     rows: ErrorRows,
     config: OtherProgramsConfig = OtherProgramsConfig(),
-) -> dict:
-    """Let the error scale of limits grow with the prior's standard error in other programs; returns facts.
+) -> tuple[dict, np.ndarray]:
+    """Let the error scale of limits grow with the prior's standard error in other programs.
 
-    The scale remains 1 in the median of the recorded motion. Its largest value is that of all programs.
+    The scale remains 1 in the median of the recorded motion. Its largest value is that of all programs. Returns facts,
+    and what was added to the weights, (joints, features), for a scale of 1 before.
 
     Args:
         bundle: with the error scale of the recorded motion.
@@ -64,11 +65,11 @@ def widen_for_other_programs(
     """
     usable = [recording for recording in recordings if recording.duration_s > config.shortest_s]
     if len(fit.left_out) < 3 or not usable:
-        return {}
+        return {}, np.zeros((bundle.joints, rows.features.shape[2]))
     features, spread_nm = spread_rows(bundle, setup, fit, usable, config)
     scale = bundle.error_scale
     weights, largest = np.array(scale.limit_weights).reshape(bundle.joints, -1), np.array(scale.largest)
-    before = rows.scale(weights)
+    before, added = rows.scale(weights), np.zeros_like(weights)
     for j in range(bundle.joints):
         level_nm = max(float(np.quantile(rows.error_nm[:, j] / before[:, j], 0.999)), 1e-12)
         own = features[:, j]
@@ -76,16 +77,18 @@ def widen_for_other_programs(
         missing = np.hypot(reached, config.times * spread_nm[:, j] / level_nm) - reached
         if missing.any():
             more = fit_weights(own, missing, config.power)
-            weights[j] += more * float(np.quantile(missing / (own @ more), config.share))
-        largest[j] = max(largest[j], float((own @ weights[j]).max()))
+            added[j] = more * float(np.quantile(missing / (own @ more), config.share))
+        largest[j] = max(largest[j], float((own @ (weights[j] + added[j])).max()))
+    weights = weights + added
     usual = np.median(rows.scale(weights), axis=0)
     scale.limit_weights, scale.largest = (weights / usual[:, None]).ravel().tolist(), (largest / usual).tolist()
     bundle.error_scale = scale
     names = [link.joint_name for link in bundle.links]
-    return {
+    facts = {
         "standard_error_nm": dict(zip(names, np.sqrt((spread_nm**2).mean(axis=0)).tolist(), strict=True)),
         "scale_grew_by": dict(zip(names, usual.tolist(), strict=True)),
     }
+    return facts, added
 
 
 def spread_rows(

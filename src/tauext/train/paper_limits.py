@@ -94,6 +94,8 @@ class LimitMotion:
     """Training motion, each part with a bundle that was fitted to the others."""
     rows: ErrorRows | None = None
     """Errors from which the bundle's error scale follows."""
+    added_weights: np.ndarray | None = None
+    """What other programs added to the scale, (joints, features); see other_programs."""
     fit: PriorFit | None = None
 
     @property

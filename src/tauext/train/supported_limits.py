@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,9 +18,9 @@ from tauext.fit.tail import TooFewPeaks, duration
 from tauext.train.error_scale import FEATURES, ErrorRows, HeldOut, add_friction, limit_weights, whole_recordings
 from tauext.train.held_peaks import (
     Moment,
+    PeakConfig,
     Peaks,
     collect_peaks,
-    count_episodes,
     held_minimum,
     hold_lengths,
     peak_indices,
@@ -119,27 +119,27 @@ def limits_config(follows: bool, config: SupportedConfig = SupportedConfig()) ->
     return LimitsConfig(confidence=config.confidence, at_most_seen=follows)
 
 
-def put_other_motion(bundle: Bundle, motion: LimitMotion, found: Raised, factor: float = 1.0) -> None:
-    """Test limits that follow the error in each recording by limits from the others, and add it to the facts.
-
-    Args:
-        found: the limits; its facts receive the test.
-        factor: on the limits, after they were raised.
-    """
+def put_other_motion(bundle: Bundle, motion: LimitMotion, found: Raised) -> None:
+    """Test limits that follow the error in each recording by limits from the others, and add it to the facts."""
     if motion.rows is None or found.promised is None or not bundle.error_scale.follows:
         return
-    watched = np.flatnonzero(bundle.monitored)
-    names = [names_of(bundle)[j] for j in watched]
-    reserve = None
-    if found.reserve_nm is not None:
-        at_rest, per_speed = found.reserve_nm
-        reserve = factor * at_rest, factor * per_speed
-    rows, limits = motion.rows.of_joints(watched), limits_config(follows=True)
-    other = other_motion(rows, names, found.promised, limits, factor * found.factor, reserve)
+    other = left_out_in_turn(bundle, motion, found)
     found.facts["other_motion"] = NOT_MEASURED if other is None else other.facts()
     motion.note(found.facts["other_motion"]["sentence"])
     if other is not None and other.broken:
         found.facts["sentence"] += f" {other.broken}: expect {other.factor:.2g} times as many."
+
+
+def left_out_in_turn(bundle: Bundle, motion: LimitMotion, found: Raised) -> OtherMotion | None:
+    """False alarms of each recording by limits from the others, see other_motion."""
+    assert motion.rows is not None and found.promised is not None
+    watched = np.flatnonzero(bundle.monitored)
+    names = [names_of(bundle)[j] for j in watched]
+    added = None if motion.added_weights is None else motion.added_weights[watched]
+    config = limits_config(follows=True)
+    return other_motion(
+        motion.rows.of_joints(watched), names, found.promised, config, found.factor, found.reserve_nm, added
+    )
 
 
 def names_of(bundle: Bundle) -> list[str]:
@@ -218,13 +218,34 @@ NOT_MEASURED = {
 class OtherMotion:
     """False alarms in recordings whose limits follow from the others."""
 
-    false: dict[str, int]
-    """Number of false alarms by recording."""
-    promised: float
-    """False alarms allowed by the budget of these limits in the same time."""
+    peaks: dict[str, np.ndarray]
+    """Of the worst ratio of an error to its limit, a second or more apart, (peaks,), by recording."""
     hours: float
-    kept_by: float
-    """Factor on the limits that would have kept the promise in these recordings."""
+    rate_per_hour: float
+    """False alarms an hour that the budget of these limits allows."""
+    times: float = 1.0
+    """Factor on the limits."""
+
+    @property
+    def false(self) -> dict[str, int]:
+        """Number of false alarms by recording."""
+        return {name: int((peaks > self.times).sum()) for name, peaks in self.peaks.items()}
+
+    @property
+    def promised(self) -> float:
+        """False alarms that the budget allows in the same time."""
+        return self.rate_per_hour * self.hours
+
+    @property
+    def falling(self) -> np.ndarray:
+        """The peaks of all recordings, descending."""
+        return np.sort(np.concatenate(list(self.peaks.values())))[::-1]
+
+    @property
+    def kept_by(self) -> float:
+        """Factor on the limits that would have kept the promise in these recordings."""
+        peaks, allowed = self.falling, int(self.promised)
+        return max(float(peaks[allowed]) / self.times, 1.0) if len(peaks) > allowed else 1.0
 
     @property
     def factor(self) -> float:
@@ -264,7 +285,8 @@ class OtherMotion:
 
     def facts(self) -> dict:
         """All of it for JSON."""
-        return asdict(self) | {"factor": self.factor, "at_most": self.at_most, "sentence": self.sentence()}
+        names = ("false", "promised", "hours", "kept_by", "factor", "at_most")
+        return {name: getattr(self, name) for name in names} | {"sentence": self.sentence()}
 
 
 def other_motion(
@@ -274,6 +296,7 @@ def other_motion(
     config: LimitsConfig,
     factor: float,
     reserve_nm: tuple[np.ndarray, np.ndarray] | None = None,
+    added_weights: np.ndarray | None = None,
 ) -> OtherMotion | None:
     """Count false alarms in each recording by limits from the others, found as `put_supported` finds them.
 
@@ -287,6 +310,7 @@ def other_motion(
         config: as of these limits.
         factor: factor on the limits.
         reserve_nm: reserve added to the limits at rest [N m], and for each rad/s, (joints,) each.
+        added_weights: what other programs add to the scale, (joints, features).
 
     Returns:
         None if there are fewer than three recordings, since with two, one would have to contain every error of the
@@ -296,13 +320,12 @@ def other_motion(
     if len(numbers) < 3:
         return None
     rows = rows.only(np.lexsort((rows.t_ns, rows.recording)))
-    counts = dict.fromkeys(rows.recordings, 0)
-    peaks: list[np.ndarray] = []
+    peaks = dict[str, np.ndarray]()
     for turn in np.array_split(numbers, min(len(numbers), 10)):  # several at a time where there are many
         left_out = np.isin(rows.recording, turn)
         own, others = rows.only(left_out), rows.only(~left_out)
         try:
-            limit_nm = factor * limits_from(others, own, joints, promised, config)
+            limit_nm = factor * limits_from(others, own, joints, promised, config, added_weights)
         except TooFewPeaks:
             return None
         if reserve_nm is not None:
@@ -313,16 +336,18 @@ def other_motion(
             at = own.recording == number
             t_ns, healthy = own.t_ns[at], np.ones(int(at.sum()), dtype=bool)
             held = held_minimum(ratio[at], healthy, hold_lengths(t_ns, promised.hold_s)).max(axis=1)
-            counts[rows.recordings[number]] = count_episodes(held, t_ns, floor=1)
-            peaks.append(held[peak_indices(held, t_ns, floor=1)])
-    allowed = promised.budget.rate_per_hour * rows.hours
-    over = np.sort(np.concatenate(peaks))[::-1]
-    kept_by = float(over[int(allowed)]) if len(over) > allowed else 1.0
-    return OtherMotion(counts, allowed, rows.hours, kept_by)
+            found = held[peak_indices(held, t_ns, gap_s=PeakConfig.moment_s)]
+            peaks[rows.recordings[number]] = found
+    return OtherMotion(peaks, rows.hours, promised.budget.rate_per_hour)
 
 
 def limits_from(
-    others: ErrorRows, own: ErrorRows, joints: Sequence[str], promised: PromisedLimits, config: LimitsConfig
+    others: ErrorRows,
+    own: ErrorRows,
+    joints: Sequence[str],
+    promised: PromisedLimits,
+    config: LimitsConfig,
+    added_weights: np.ndarray | None = None,
 ) -> np.ndarray:
     """Collision limits on these rows that follow from other rows, (own rows, joints), [N m].
 
@@ -330,6 +355,9 @@ def limits_from(
         TooFewPeaks: the other rows have too few.
     """
     weights = np.array([limit_weights(others, j) for j in range(len(joints))])
+    if added_weights is not None:
+        weights += added_weights
+        weights /= np.median(others.scale(weights), axis=0)[:, None]
     scale = others.scale(weights)
     peaks = Peaks(joints, promised.hold_s)
     for number in np.unique(others.recording):

@@ -420,14 +420,22 @@ class Promise:
 def promised_per_hour(limits: Mapping) -> float | None:
     """False alarms an hour that a bundle's limits are set for, [1/h]; None: they have no budget.
 
-    The requested budget; of limits that are not extrapolated from too short a calibration, the smallest budget that it
-    supports.
+    The requested budget; of limits that are not extrapolated, the smallest that is proved if the requested one is not.
 
     Args:
         limits: facts of the limits, with the promise's `summary()`.
     """
     if "extrapolated" in limits:
         return float(limits["extrapolated"]["per_hour"])
+    return proved_per_hour(limits)
+
+
+def proved_per_hour(limits: Mapping) -> float | None:
+    """False alarms an hour that the data behind a bundle's limits prove, [1/h]; None: they prove nothing.
+
+    Args:
+        limits: see promised_per_hour.
+    """
     promise = limits.get("promise")
     if not isinstance(promise, dict):
         return None

@@ -234,8 +234,11 @@ def asked_sentence(asked: FalseAlarmBudget, found: dict, promised: PromisedLimit
     if not promise.is_supported:
         words += f"; {duration(promise.missing_hours, 'up')} more of free motion would prove {asked}"
     if promised.suspects:
-        several = promised.suspects > 1
-        words += f". {promised.suspects} suspected touch{'es are' if several else ' is'} left out"
+        left_out, they = ("es are", "they were") if promised.suspects > 1 else (" is", "it was")
+        words += (
+            f". {promised.suspects} suspected touch{left_out} left out; if {they} none, the data prove 1 in "
+            f"{duration(1 / promised.bound_per_hour, 'down')}"
+        )
     return f"{words}."
 
 

@@ -24,7 +24,7 @@ from tauext.errors import ConfigError
 from tauext.files.kind import is_simulated
 from tauext.fit.bundle_writing import freeze_drift, make_bundle
 from tauext.fit.prior_terms import PriorFit
-from tauext.fit.tail import duration, promised_per_hour
+from tauext.fit.tail import duration, proved_per_hour
 from tauext.fit.training_set import Setup
 from tauext.train.asked_limits import put_asked
 from tauext.train.error_scale import (
@@ -256,7 +256,7 @@ def worse_promise(before: Mapping, after: Mapping, name: str) -> tuple[str, list
         before, after: facts of the limits; without a promise before, there is nothing to compare.
         name: of the bundle that is replaced.
     """
-    old, new = promised_per_hour(before), promised_per_hour(after)
+    old, new = proved_per_hour(before), proved_per_hour(after)
     if old is None or new is None:
         return "", []
     promise, old_hours = after["promise"], before["promise"]["calibration_hours"]

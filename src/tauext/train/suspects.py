@@ -70,11 +70,13 @@ class SuspectConfig:
     """... with gaps up to this, [s] ..."""
     reach_s: float = 5.0
     """... at most so far from its largest peak, [s]."""
+    least_times: float = 1.5
+    """A suspect exceeds its level by this factor: free motion of another kind often errs by less."""
     same_rad: float = 0.05
     """Candidates with the same joints in poses this close, [rad] ..."""
     same_times: int = 3
     """... so often, are an error that the motion repeats. So often in one recording, joints that turned alone err by
-    their friction."""
+    their friction, and joints that no force explains err by that motion."""
 
 
 # --- Levels beyond which a peak is a suspect.
@@ -245,8 +247,8 @@ def find_suspects(
     """Intervals that look like touches, in order of recording and time.
 
     Errors of friction and of the model are none, even where they stand out: those of a lone joint that has just
-    started, stopped or turned, since a force on a link turns all joints before it, and those that return in the same
-    motion.
+    started, stopped or turned, since a force on a link turns all joints before it; those that return in the same
+    motion; and several of one recording that no force explains. They stay in the motion, and limits contain them.
 
     Args:
         peaks: of errors held for about config.hold_s.
@@ -267,7 +269,9 @@ def find_suspects(
         if is_unreported(recording := load(number)):
             of_this = [one for one in candidates if one.number == number]
             shown += [_Shown.of(bundle, places, one, recording, levels, usual, threads, config) for one in of_this]
-    found = [one.suspect for one in shown if not (one.is_friction(shown, config) or one.is_repeated(shown, config))]
+    kinds = _Shown.is_friction, _Shown.is_repeated, _Shown.is_of_the_motion
+    found = [one.suspect for one in shown if not any(of_kind(one, shown, config) for of_kind in kinds)]
+    found = [one for one in found if one.times >= config.least_times]
     return _merged([one for one in found if not any(one.meets(label) for label in nothing)])
 
 
@@ -383,6 +387,15 @@ class _Shown:
             for one in others
         ]
         return sum(same) >= config.same_times
+
+    def is_of_the_motion(self, others: Sequence[_Shown], config: SuspectConfig) -> bool:
+        """Whether no force explains it, nor config.same_times candidates of this recording with one of its joints."""
+        mine = set(self.suspect.joints)
+        same = [
+            one.suspect.number == self.suspect.number and not one.suspect.link and bool(mine & set(one.suspect.joints))
+            for one in others
+        ]
+        return not self.suspect.link and sum(same) >= config.same_times
 
     @classmethod
     def of(

@@ -182,7 +182,7 @@ def test_the_scale_reaches_the_spread_in_faster_programs_and_stays_where_data_de
         assert np.median(rows.scale(weights), axis=0) == pytest.approx(1)
         features, spread = spread_rows(with_unit_scale(bundle), setup, fit, recordings, config)
         scale = np.einsum("rjf,jf->rj", features, weights)
-        assert (scale <= np.array(bundle.error_scale.largest) * (1 + 1e-9)).all()
+        assert bundle.error_scale.largest == pytest.approx(rows.scale(weights).max(axis=0))
         level = np.quantile(rows.error_nm / rows.scale(weights), 0.999, axis=0)
         assert (np.mean(config.times * spread <= 1.5 * level * scale, axis=0) > 0.97).all()
         grew[seconds] = max(facts["scale_grew_by"].values())

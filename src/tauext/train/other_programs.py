@@ -55,8 +55,8 @@ def widen_for_other_programs(
 ) -> tuple[dict, np.ndarray]:
     """Let the error scale of limits grow with the prior's standard error in other programs.
 
-    The scale remains 1 in the median of the recorded motion. Its largest value is that of all programs. Returns facts,
-    and what was added to the weights, (joints, features), for a scale of 1 before.
+    The scale remains 1 in the median of the recorded motion, and its largest value is that of this motion. Returns
+    facts, and what was added to the weights, (joints, features), for a scale of 1 before.
 
     Args:
         bundle: with the error scale of the recorded motion.
@@ -68,7 +68,7 @@ def widen_for_other_programs(
         return {}, np.zeros((bundle.joints, rows.features.shape[2]))
     features, spread_nm = spread_rows(bundle, setup, fit, usable, config)
     scale = bundle.error_scale
-    weights, largest = np.array(scale.limit_weights).reshape(bundle.joints, -1), np.array(scale.largest)
+    weights = np.array(scale.limit_weights).reshape(bundle.joints, -1)
     before, added = rows.scale(weights), np.zeros_like(weights)
     for j in range(bundle.joints):
         level_nm = max(float(np.quantile(rows.error_nm[:, j] / before[:, j], 0.999)), 1e-12)
@@ -78,8 +78,9 @@ def widen_for_other_programs(
         if missing.any():
             more = fit_weights(own, missing, config.power)
             added[j] = more * float(np.quantile(missing / (own @ more), config.share))
-        largest[j] = max(largest[j], float((own @ (weights[j] + added[j])).max()))
     weights = weights + added
+    # As in the recorded motion: a collision moves the arm faster than any program, and must not raise its limit.
+    largest = rows.scale(weights).max(axis=0)
     usual = np.median(rows.scale(weights), axis=0)
     scale.limit_weights, scale.largest = (weights / usual[:, None]).ravel().tolist(), (largest / usual).tolist()
     bundle.error_scale = scale

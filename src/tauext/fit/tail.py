@@ -51,12 +51,10 @@ class TailConfig:
     """... or if a higher threshold's shape differs by more standard errors than this (99 %)."""
     misfit_p: float = 0.01
     """Probability of so bad a fit over the highest threshold, below which the peaks have no tail of this kind."""
-    least_shape: float = -math.inf
-    """Prior of the shape: flat from this to usual_shape, and beyond either a half of a normal distribution."""
     usual_shape: float = 0.1
-    """Upper end of the flat part. A few dozen peaks do not tell a tail of 0.1 from one of 0.5, whose limits are several
-    times as high, and one large peak moves the fit from one to the other. Hydrology bounds the shape for the same
-    reason ([Martins2000]_, within 0.5)."""
+    """Prior of the shape: flat up to this, beyond it a normal distribution's upper half. A few dozen peaks do not tell
+    a tail of 0.1 from one of 0.5, whose limits are several times as high, and one large peak moves the fit from one to
+    the other. Hydrology bounds the shape for the same reason ([Martins2000]_, within 0.5)."""
     shape_spread: float = 0.3
     """Standard deviation of that normal distribution; a larger one raises the limits of heavy tails."""
     draws: int = 256
@@ -271,8 +269,7 @@ def _posterior(excess: np.ndarray, config: TailConfig) -> tuple[np.ndarray, np.n
     shape = c * scale
     # Prior 1/sigma; d shape d sigma = sigma dc d sigma, dc ~ e^grid d grid, d sigma = sigma d ln sigma.
     weight = _likelihood(n, c, mean, scale) + np.log(scale) + grid[:, None]
-    beyond = np.maximum(np.maximum(shape - config.usual_shape, config.least_shape - shape), 0)
-    weight -= (beyond / config.shape_spread) ** 2 / 2
+    weight -= (np.maximum(shape - config.usual_shape, 0) / config.shape_spread) ** 2 / 2
     weight = np.where((shape > SHAPES[0]) & (shape < SHAPES[1]), np.exp(weight - weight.max()), 0)
     kept = weight > 1e-8 * weight.max()
     return shape[kept], scale[kept], weight[kept]

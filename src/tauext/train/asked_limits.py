@@ -18,10 +18,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import gammaincinv, ndtri
 
 from tauext._core import Bundle
-from tauext.fit.tail import FalseAlarmBudget, Tail, TailConfig, TooFewPeaks, duration, fit_tail
+from tauext.errors import TrainingError
+from tauext.fit.tail import FalseAlarmBudget, duration
 from tauext.train.held_peaks import REGIONS, Moment, Peaks, collect_peaks
 from tauext.train.hits import noticed_pushes_n
 from tauext.train.paper_limits import LimitMotion
@@ -33,23 +34,21 @@ from tauext.train.supported_limits import NOT_MEASURED, Raised, left_out_in_turn
 class AskedConfig:
     """How limits are extrapolated to a budget that the motion does not prove."""
 
-    tail: TailConfig = TailConfig(
-        exceedances=(200, 140, 100, 70, 50, 35, 25, 18),
-        share=0.15,
-        fewest=12,
-        least_shape=-0.05,
-        usual_shape=0.1,
-        shape_spread=0.1,
-    )
-    """Fit of the tail of the worst ratio: a seventh of the peaks, of which minutes have few."""
-    growth: float = 0.2
+    share: float = 0.15
+    """Share of the peaks that is the tail ..."""
+    exceedances: tuple[int, int] = (5, 200)
+    """... but at least and at most so many."""
+    shape: tuple[float, float] = (0.08, 0.08)
+    """Mean and standard deviation of the prior of the tail's shape."""
+    scale: tuple[float, float] = (0.1, 0.4)
+    """Median of the prior of its scale, as a share of the threshold, and the standard deviation of the logarithm."""
+    growth: float = 0.1
     """Median of ln g, the growth of errors by friction that minutes do not show, and ..."""
     growth_spread: float = 0.2
     """... its standard deviation; both fall as ..."""
     growth_hours: float = 0.1
     """... 1 / sqrt(1 + hours / this): hours contain warm-up, programs and pauses of their own."""
-    few_peaks: float = 0.12
-    """Scale of an exponential tail, as a share of the largest error, where there are too few peaks for a fit."""
+    draws: int = 256
     interval: float = 0.9
     """Probability of the stated interval."""
     times_as_many: tuple[float, ...] = (8.0, 48.0)
@@ -67,32 +66,32 @@ class WorstErrors:
     """Rising, (levels,)."""
     rates: np.ndarray
     """(draws, levels), [1/h]."""
-    tail: Tail | None
 
     @classmethod
     def of(cls, peaks: np.ndarray, hours: float, config: AskedConfig) -> WorstErrors:
         """Fit the tail of these peaks, descending, (peaks,), which were seen in so many hours.
 
         Raises:
-            TooFewPeaks: there is none.
+            TrainingError: there is none above 0.
         """
         peaks = peaks[peaks > 0]
         if not len(peaks):
-            raise TooFewPeaks(0, 1)
+            raise TrainingError("limits need errors of free motion, and tau_ext is zero throughout")
+        fewest, most = config.exceedances
+        count = min(max(fewest, math.ceil(config.share * len(peaks))), most, len(peaks))
+        threshold = float(peaks[count]) if count < len(peaks) else float(peaks[-1])
+        shape, scale = posterior(peaks[:count] - threshold, threshold, config)
+        even = (np.arange(config.draws) + 0.5) / config.draws
+        paired = np.random.default_rng(0)
+        above = paired.permutation(gammaincinv(count + 0.5, even)) / hours
+        unseen = 1 / math.sqrt(1 + hours / config.growth_hours)
+        grown = np.exp(unseen * (config.growth + config.growth_spread * ndtri(paired.permutation(even))))
         levels = np.r_[np.unique(peaks[:200]), peaks[0] * np.geomspace(1.001, 50, 300)]
-        draws = config.tail.draws
-        growth = 1 / math.sqrt(1 + hours / config.growth_hours)
-        even = (np.random.default_rng(1).permutation(draws) + 0.5) / draws
-        grown = np.exp(growth * (config.growth + config.growth_spread * ndtri(even)))
-        try:
-            tail = fit_tail(peaks, hours, config.tail)
-        except TooFewPeaks:
-            beyond = np.maximum(levels[None] / grown[:, None] / peaks[0] - 1, 0)
-            return cls(peaks, hours, levels, np.exp(-beyond / config.few_peaks) / hours, None)
-        fine = np.sort(np.r_[levels / grown.max(), levels])
-        logs = np.log(np.maximum(tail.rates(fine, np.random.default_rng(0)), 1e-30))
-        rates = np.exp([np.interp(levels / g, fine, one) for g, one in zip(grown, logs, strict=True)])
-        return cls(peaks, hours, levels, rates, tail)
+        at = levels / grown[:, None]
+        beyond = np.maximum(1 + shape[:, None] * np.maximum(at - threshold, 0) / scale[:, None], 1e-12)
+        exact = np.where(np.abs(shape) < 1e-9, 1e-9, shape)[:, None]
+        below = np.maximum(np.searchsorted(-peaks, -at, side="left") / count, 1.0)
+        return cls(peaks, hours, levels, above[:, None] * beyond ** (-1 / exact) * below)
 
     def level(self, rate_per_hour: float) -> float:
         """Level that is exceeded at this rate in the median of the draws; no less than `seen`."""
@@ -110,6 +109,30 @@ class WorstErrors:
         rates = np.array([np.interp(level, self.levels, one) for one in logs])
         low, high = np.exp(np.quantile(rates, [(1 - probability) / 2, (1 + probability) / 2])).tolist()
         return low, high
+
+
+def posterior(excess: np.ndarray, threshold: float, config: AskedConfig) -> tuple[np.ndarray, np.ndarray]:
+    r"""Draws of shape and scale of a generalised Pareto distribution of excesses over a threshold, (draws,) each.
+
+    .. math:: p(\xi, \sigma) \propto N(\xi; \text{shape})\, N(\ln \sigma/u; \text{scale}) \prod_i
+              \frac{1}{\sigma} (1 + \xi y_i / \sigma)^{-1/\xi - 1}
+
+    They are even in probability instead of random, so that few suffice.
+    """
+    middle, spread = config.shape
+    share, factor = config.scale
+    xi = (middle + spread * np.linspace(-4, 4, 33))[:, None]
+    xi[np.abs(xi) < 1e-6] = 1e-6
+    logs = (math.log(share) + factor * np.linspace(-4, 4, 65))[None]
+    inside = 1 + xi[:, :, None] * excess / (threshold * np.exp(logs))[:, :, None]
+    log_density = -(1 / xi + 1) * np.log(np.maximum(inside, 1e-300)).sum(axis=2) - len(excess) * logs
+    log_density -= ((xi - middle) / spread) ** 2 / 2 + ((logs - math.log(share)) / factor) ** 2 / 2
+    log_density[(inside <= 0).any(axis=2)] = -np.inf
+    weight = np.exp(log_density - log_density.max()).ravel()
+    even = (np.arange(config.draws) + 0.5) / config.draws
+    drawn = np.minimum(np.searchsorted(np.cumsum(weight) / weight.sum(), even), weight.size - 1)
+    row, column = np.divmod(drawn, logs.size)
+    return xi[row, 0], threshold * np.exp(logs[0, column])
 
 
 def put_asked(bundle: Bundle, motion: LimitMotion, config: AskedConfig = AskedConfig()) -> dict:
@@ -137,7 +160,6 @@ def put_asked(bundle: Bundle, motion: LimitMotion, config: AskedConfig = AskedCo
             "recordings_left_out": recordings,
             "factor": factor,
             "largest_seen": float(worst.peaks[0] / factor),
-            "shape": None if worst.tail is None else worst.tail.shape,
         }
         facts |= {
             "sentence": asked_sentence(asked, facts["extrapolated"], promised),

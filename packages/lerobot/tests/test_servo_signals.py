@@ -125,7 +125,7 @@ def test_training_names_the_better_signal_and_the_remedy_holds(folder, capsys):
         if source == "goal":
             sentence = facts[source]["signals"]["sentence"]
             assert sentence in " ".join(said.split()) and 'torque_from = "supply-current" in [servo]' in sentence
-            assert "The promise does not hold in motion unlike any recording: expect" in facts[source]["sentence"]
+            assert "The budget is not kept in motion unlike any recording: expect" in facts[source]["sentence"]
             assert main(["show", str(bundle)]) == 0 and sentence[:60] in " ".join(capsys.readouterr().out.split())
     compared = facts["goal"]["signals"]["compared"]
     assert [one["torque_from"] for one in compared] == ["goal", "supply_current"]

@@ -27,7 +27,7 @@ from tauext.train.held_peaks import REGIONS, Moment, Peaks, collect_peaks
 from tauext.train.hits import noticed_pushes_n
 from tauext.train.paper_limits import LimitMotion
 from tauext.train.promised_limits import PromisedLimits, calibrated, note_moments
-from tauext.train.supported_limits import NOT_MEASURED, Raised, left_out_in_turn, raised
+from tauext.train.supported_limits import Raised, put_other_motion, raised
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def put_asked(bundle: Bundle, motion: LimitMotion, config: AskedConfig = AskedCo
         TrainingError: see calibrated() and raised().
     """
     asked = FalseAlarmBudget(motion.alarm.false_alarms, motion.alarm.in_hours)
-    found, worst, recordings = proved(bundle, motion, config)
+    found, worst = proved(bundle, motion, config)
     promised, facts = found.promised, found.facts
     factor = 1.0
     if promised is None or not promised.promise.is_supported or not motion.by_calibration:
@@ -157,7 +157,6 @@ def put_asked(bundle: Bundle, motion: LimitMotion, config: AskedConfig = AskedCo
             "between_per_hour": [low, high],
             "probability": config.interval,
             "hours": worst.hours,
-            "recordings_left_out": recordings,
             "factor": factor,
             "largest_seen": float(worst.peaks[0] / factor),
         }
@@ -169,31 +168,21 @@ def put_asked(bundle: Bundle, motion: LimitMotion, config: AskedConfig = AskedCo
     facts["budgets"] = budgets(bundle, motion, worst, factor, asked, config)
     motion.note(facts["sentence"])
     motion.note(budgets_sentence(facts["budgets"]))
+    if not motion.by_calibration:
+        put_other_motion(bundle, motion, found, factor, asked.rate_per_hour)
     note_moments(bundle, [Moment(**one) for one in facts.get("one_moment", [])], motion.note)
     return facts
 
 
-def proved(bundle: Bundle, motion: LimitMotion, config: AskedConfig) -> tuple[Raised, WorstErrors, int]:
-    """Set the limits of the budget that the motion proves; returns them and the errors beside them.
-
-    From three recordings on, each one's errors are compared with limits from the others: motion of other programs then
-    has a part in the tail. The last value returned is their number, or 0.
-    """
+def proved(bundle: Bundle, motion: LimitMotion, config: AskedConfig) -> tuple[Raised, WorstErrors]:
+    """Set the limits of the budget that the motion proves; returns them and the errors beside them."""
     if motion.by_calibration:
         promised, facts = calibrated(bundle, motion)
         assert promised.peaks is not None
-        return Raised(promised, facts, facts["sentence"]), worst_of(bundle, promised.peaks, config), 0
+        return Raised(promised, facts, facts["sentence"]), worst_of(bundle, promised.peaks, config)
     found = raised(bundle, motion)
-    if motion.rows is not None and found.promised is not None and bundle.error_scale.follows:
-        other = left_out_in_turn(bundle, motion, found)
-        if other is not None:
-            # As the limits are not those that are proved, what is said of these is left out.
-            found.facts["other_motion"] = {key: value for key, value in other.facts().items() if key != "sentence"}
-            return found, WorstErrors.of(other.falling, other.hours, config), len(other.peaks)
-        found.facts["other_motion"] = NOT_MEASURED
-        motion.note(NOT_MEASURED["sentence"])
     (peaks,) = collect_peaks(bundle, motion.held_out, (bundle.hold_s,), motion.threads, motion.margins)
-    return found, worst_of(bundle, peaks.of_joints(np.flatnonzero(bundle.monitored)), config), 0
+    return found, worst_of(bundle, peaks.of_joints(np.flatnonzero(bundle.monitored)), config)
 
 
 def worst_of(bundle: Bundle, peaks: Peaks, config: AskedConfig) -> WorstErrors:
@@ -243,10 +232,8 @@ def budgets(
 def asked_sentence(asked: FalseAlarmBudget, found: dict, promised: PromisedLimits | None) -> str:
     """What the limits are set for, and what the data alone prove."""
     low, high = found["between_per_hour"]
-    several = found["recordings_left_out"]
     words = (
         f"Limits are set for {asked}, extrapolated from {duration(found['hours'], 'down')} "
-        f"{f'of {several} recordings, each beside limits from the others ' if several else ''}"
         f"({found['probability']:.0%}: 1 in {duration(1 / high)} {rarest(low)})."
     )
     if promised is None:

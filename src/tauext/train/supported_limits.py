@@ -119,11 +119,21 @@ def limits_config(follows: bool, config: SupportedConfig = SupportedConfig()) ->
     return LimitsConfig(confidence=config.confidence, at_most_seen=follows)
 
 
-def put_other_motion(bundle: Bundle, motion: LimitMotion, found: Raised) -> None:
-    """Test limits that follow the error in each recording by limits from the others, and add it to the facts."""
+def put_other_motion(
+    bundle: Bundle, motion: LimitMotion, found: Raised, times: float = 1.0, rate_per_hour: float | None = None
+) -> None:
+    """Test limits that follow the error in each recording by limits from the others, and add it to the facts.
+
+    Args:
+        found: the limits; its facts receive the test.
+        times: factor on the limits after they were raised.
+        rate_per_hour: false alarms that they are set for, [1/h]; None: those of the budget that is proved.
+    """
     if motion.rows is None or found.promised is None or not bundle.error_scale.follows:
         return
     other = left_out_in_turn(bundle, motion, found)
+    if other is not None:
+        other = replace(other, times=times, rate_per_hour=rate_per_hour or other.rate_per_hour)
     found.facts["other_motion"] = NOT_MEASURED if other is None else other.facts()
     motion.note(found.facts["other_motion"]["sentence"])
     if other is not None and other.broken:
@@ -261,26 +271,26 @@ class OtherMotion:
     @property
     def broken(self) -> str:
         """Words on the promise, which it does not keep; empty: it keeps it."""
-        return "The promise does not hold in motion unlike any recording" if self.factor > 1 else ""
+        return "The budget is not kept in motion unlike any recording" if self.factor > 1 else ""
 
     def sentence(self) -> str:
         """Text for the user."""
         some = {name: count for name, count in self.false.items() if count}
         words = (
             f"Each recording was evaluated with limits from the others. False alarms in {duration(self.hours)}: "
-            f"{sum(some.values())}, in {len(some)} of {len(self.false)} recordings; promised: {self.promised:.2g}."
+            f"{sum(some.values())}, in {len(some)} of {len(self.false)} recordings; set: {self.promised:.2g}."
         )
         if self.at_most <= 1:
-            return f"{words} The promise also holds from one recording to the next."
+            return f"{words} The budget is also kept from one recording to the next."
         words += f" {self.broken}: " if self.broken else " In motion unlike any recording, "
-        words += f"expect {self.factor:.2g} times the promised false alarms (up to {self.at_most:.2g} times, at 95 % "
+        words += f"expect {self.factor:.2g} times as many false alarms (up to {self.at_most:.2g} times, at 95 % "
         words += "confidence)."
         if self.factor <= 1:
             return words
         most = max(some, key=lambda name: some[name])
         return (
             f"{words} Most, {some[most]}, came in {most}: more recordings of such motion help. Limits "
-            f"{self.kept_by:.2g} times as high (alarm.minutes_factor) would have kept the promise, and detect less."
+            f"{self.kept_by:.2g} times as high (alarm.minutes_factor) would have kept it, and detect less."
         )
 
     def facts(self) -> dict:

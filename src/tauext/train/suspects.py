@@ -271,7 +271,7 @@ def find_suspects(
             shown += [_Shown.of(bundle, places, one, recording, levels, usual, threads, config) for one in of_this]
     kinds = _Shown.is_friction, _Shown.is_repeated, _Shown.is_of_the_motion
     found = [one.suspect for one in shown if not any(of_kind(one, shown, config) for of_kind in kinds)]
-    found = [one for one in found if one.times >= config.least_times]
+    found = [one for one in found if one.is_evident and one.times >= config.least_times]
     return _merged([one for one in found if not any(one.meets(label) for label in nothing)])
 
 

@@ -221,7 +221,7 @@ def test_contacts_are_searched_for_beyond_the_share_that_all_checks_read(data, t
 
 def test_calibrate_checks_its_recordings_and_keeps_what_training_found(data, tmp_path, capsys, monkeypatch, unexamined):
     """Its 20 s of motion support no limits: no limits are searched for."""
-    monkeypatch.setitem(LIMITS, "promised", lambda bundle, motion: {"sentence": "found"})
+    monkeypatch.setitem(LIMITS, "asked", lambda bundle, motion: {"sentence": "found"})
     spoil(data, "one", tau=spike)
     bundle, out = tmp_path / "a.tauext", tmp_path / "b.tauext"
     assert train(data, bundle, "--accept", "spike") == 0

@@ -179,7 +179,10 @@ def test_limits_of_little_use_are_found():
         setattr(bundle, f"{name}_limit_nm", [3.3, 0.3])
 
     def found(step_nm=0.0):
-        return [(one.code, one.severity, one.joint) for one in limit_findings(bundle, {"elbow": step_nm})]
+        return [
+            (one.code, one.severity, one.joint)
+            for one in limit_findings(bundle, {"torque_step_nm": {"elbow": step_nm}})
+        ]
 
     assert found() == [] and found(0.19) == []
     assert found(0.21) == [("limit-fine", "fault", "elbow")]

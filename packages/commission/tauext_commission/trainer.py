@@ -319,8 +319,8 @@ class Trainer:
             return {}, "there is no free motion to judge it"
         old = [] if active is None or active.stem == name or is_changed(folder.history()) else [active.stem]
         bundles = {one: load_bundle(folder.bundles / f"{one}.tauext") for one in (*old, name)}
-        steps_nm = json.loads(bundles[name].provenance or "{}").get("torque_step_nm", {})
-        wrong = [one for one in limit_findings(bundles[name], steps_nm) if one.severity == "fault"]
+        provenance = json.loads(bundles[name].provenance or "{}")
+        wrong = [one for one in limit_findings(bundles[name], provenance) if one.severity == "fault"]
         loaders = [lambda one=one: one for one in pieces]
         out = folder.results / name
         results = evaluate(bundles, loaders, [], out / "estimates", 0, THREADS, keep_free_estimates=0, inject=True)

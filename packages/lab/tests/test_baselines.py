@@ -158,7 +158,7 @@ def test_calibrate_gives_a_bundle_the_limits_that_training_would_and_changes_not
     promised = tmp_path / "trained" / "bundle.tauext"
     train_on_recordings(
         TrainingInput(robot, EXACT, training, dataset.recordings("validation"), dataset.loaders("calibration")),
-        TrainConfig(**options, limits="promised"),
+        TrainConfig(**options, limits="asked"),
         promised,
     )
     capsys.readouterr()

@@ -72,7 +72,7 @@ def run_of(number: int, late_s: float) -> pa.Table:
 def training(folder: Path) -> tuple[str, ...]:
     """The motors have no ripple, and the search for one takes long."""
     (folder / "study.toml").write_text("[prior]\nmost_ripples = 0\n")
-    return ("--recipe", "prior", "--config", str(folder / "study.toml"))
+    return ("--recipe", "prior", "--limits", "supported", "--config", str(folder / "study.toml"))
 
 
 def names() -> list[str]:

@@ -50,6 +50,6 @@ def check_results(
     limits_nm = None if given.case.no_model or no_torque else torque_limits(given.robot, training[0].joints)
     model = None if given.case.no_model else given.robot
     results = {"training": check_training([*training, *validation], model, limits_nm, unknown, config.threads, report)}
-    if dataset.split.calibration and limits_kind(config, dataset.split.calibration) == "promised":
+    if dataset.split.calibration and limits_kind(config, dataset.split.calibration) in ("asked", "promised"):
         results["calibration"] = check_calibration(dataset.files("calibration"), limits_nm, config.threads, report)
     return results

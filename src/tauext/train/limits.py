@@ -189,21 +189,22 @@ def left_out_of_fit(bundle: Bundle, fit: PriorFit, setup: Setup, reference: Reco
 # --- Limits that are of little use.
 
 
-def limit_findings(
-    bundle: Bundle, step_nm: Mapping[str, float], wide: float = 1 / 3, too_wide: float = 1 / 2
-) -> list[Finding]:
+def limit_findings(bundle: Bundle, facts: Mapping, wide: float = 1 / 3, too_wide: float = 1 / 2) -> list[Finding]:
     """Findings of limits that are far too wide, or finer than the torque is known.
 
     Args:
-        step_nm: step of which each torque is a whole multiple, by joint; those without one are left out.
+        facts: provenance with `torque_step_nm`, the step of which each torque is a whole multiple, by joint, and
+            `limits`.
         wide: share of a joint's largest torque in training above which its limit is a finding. Good recordings of ten
             minutes give 0.02 to 0.2, and up to 1 at single joints that turn about the vertical or are light.
-        too_wide: share that makes it a fault if the limits of half of the joints or more are above.
+        too_wide: share that makes it a fault if the limits of half of the joints or more are above, even those that are
+            proved.
     """
-    found, watched = [], np.array(bundle.monitored)
+    found, watched, step_nm = [], np.array(bundle.monitored), facts.get("torque_step_nm", {})
+    proved = 1 / max(facts.get("limits", {}).get("extrapolated", {}).get("factor", 1.0), 1.0)
     limits = np.maximum(bundle.sliding_limit_nm, bundle.near_stiction_limit_nm)
     shares = (limits / bundle.largest_torque_nm)[watched]
-    severity: Severity = "fault" if 2 * (shares > too_wide).sum() >= len(shares) else "warning"
+    severity: Severity = "fault" if 2 * (proved * shares > too_wide).sum() >= len(shares) else "warning"
     for j in np.flatnonzero(watched).tolist():
         limit, largest = float(limits[j]), bundle.largest_torque_nm[j]
         name, unit = bundle.links[j].joint_name, bundle.estimate_units[j]
@@ -223,12 +224,12 @@ def limit_findings(
 
 
 def put_limit_findings(bundle: Bundle, facts: dict, promise: Sequence[Finding] = ()) -> list[str]:
-    """Set `limit_findings` in a bundle's provenance by its `torque_step_nm`; returns a line each for the user.
+    """Set `limit_findings` in a bundle's provenance; returns a line each for the user.
 
     Args:
         promise: findings of the promise (worse_promise), stored beside those of the limits.
     """
-    found = [*limit_findings(bundle, facts.get("torque_step_nm", {})), *promise]
+    found = [*limit_findings(bundle, facts), *promise]
     facts["limit_findings"] = [asdict(one) for one in found]
     return [
         f"{one.severity}: {': '.join(filter(None, (one.code, one.joint)))}: {one.evidence}; {one.advice}"

@@ -434,6 +434,21 @@ def promised_per_hour(limits: Mapping) -> float | None:
     return float(promise["asked" if promise["supported"] else "supported_budget"]["rate_per_hour"])
 
 
+def at_most_per_hour(limits: Mapping) -> float | None:
+    """Largest rate of false alarms that agrees with what a bundle's limits state, [1/h]; None: they have no budget.
+
+    Extrapolated limits state an interval, of which this is the upper end; others state a single rate. A test
+    contradicts the statement if even this rate makes so many false alarms implausible (`is_kept`).
+
+    Args:
+        limits: see promised_per_hour().
+    """
+    rate = promised_per_hour(limits)
+    if rate is None or "extrapolated" not in limits:
+        return rate
+    return max(rate, float(limits["extrapolated"]["between_per_hour"][1]))
+
+
 def duration(hours: float, rounding: Literal["nearest", "up", "down"] = "nearest") -> str:
     """Format a time to about three digits: `8 h`, `6.67 minutes`, `24 s`."""
     unit, value = next(

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from tauext.cli.source_options import SOURCES, SourceOptions, SourceOptionsArg, given
-from tauext.config import require
+from tauext.cli.train import AlarmOptions
+from tauext.config import AlarmConfig, require
 from tauext.errors import ConfigError, TauextError
 from tauext.progress import in_plain_letters
 
@@ -43,6 +44,7 @@ def commission(
     core: int | None = None,
     priority: int | None = None,
     repair: bool = False,
+    budget: Annotated[AlarmOptions, tyro.conf.arg(name="")] = {},  # noqa: B006
 ) -> None:
     """Commission a live arm: record, learn and monitor it, better every hour.
 
@@ -64,7 +66,10 @@ def commission(
             scheduling.
         repair: print what was rebuilt in the folder and what is lost, accept the loss, and begin the training again.
             Without --source that is all.
+        budget: budget of false alarms. Without it the budget stays as it is: the newest that was chosen on the page or
+            by these options, 1 in 8 h in a new folder.
     """
+    alarm = AlarmConfig(**budget) if budget else None
     if repair and out is not None:
         repair_folder(out, source)
         if source is None:
@@ -88,6 +93,7 @@ def commission(
         disk_bytes=disk_gb * 1e9,
         core=core,
         priority=priority,
+        alarm=alarm,
     )
     with keys() as listening:
         run(out, source, chosen if no_page else with_page(chosen, port), print_line, listening)

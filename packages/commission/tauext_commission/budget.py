@@ -57,7 +57,7 @@ class Promise(NamedTuple):
         if rate is None or at_most is None or not 1e-9 < rate <= at_most < 1e9:
             return cls()
         found = limits.get("extrapolated") or {}
-        between = [float(one) for one in found["between_per_hour"]] if found else None
+        between = [min(float(found["between_per_hour"][0]), rate), at_most] if found else None
         hours = float(found["hours"] if found else proof["calibration_hours"])
         proved = float(proof["supported_budget"]["rate_per_hour"]) if proof else None
         budgets = tuple(map(row_of, limits.get("budgets", ())))
@@ -97,9 +97,10 @@ class Promise(NamedTuple):
         """`1 in 50 minutes to 1 in 60 h`; with `between ` before it, `and` in its middle."""
         assert self.between_per_hour is not None
         low, high = self.between_per_hour
+        soonest = once_in(high, "down")
         if low < RAREST_PER_HOUR:
-            return f"{once_in(high)} or rarer"
-        return f"{before}{once_in(high)} {'and' if before else 'to'} {once_in(low)}"
+            return f"{soonest} or rarer"
+        return f"{before}{soonest} {'and' if before else 'to'} {once_in(low)}"
 
     def numbers(self) -> dict[str, Any]:
         """Entries of a line of the history."""

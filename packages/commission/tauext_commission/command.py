@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from tauext.cli.source_options import SOURCES, SourceOptions, SourceOptionsArg, given
-from tauext.config import require
+from tauext.cli.train import AlarmOptions
+from tauext.config import AlarmConfig, require
 from tauext.errors import ConfigError, TauextError
 from tauext.progress import in_plain_letters
 
@@ -43,6 +44,7 @@ def commission(
     core: int | None = None,
     priority: int | None = None,
     repair: bool = False,
+    budget: Annotated[AlarmOptions, tyro.conf.arg(name="")] = {},  # noqa: B006
 ) -> None:
     """Commission a live arm: record, learn and monitor it, better every hour.
 
@@ -62,8 +64,8 @@ def commission(
         core: processor core of the loop and the receiver of samples. None: any.
         priority: real-time priority (SCHED_FIFO, 1 to 99) of the loop and the receiver of samples. None: normal
             scheduling.
-        repair: print what was rebuilt in the folder and what is lost, accept the loss, and begin the training again.
-            Without --source that is all.
+        repair: print what was rebuilt and what is lost, accept it, and train again. Without --source that is all.
+        budget: budget of false alarms. None: the one that was chosen last, 1 in 8 h in a new folder.
     """
     if repair and out is not None:
         repair_folder(out, source)
@@ -72,10 +74,7 @@ def commission(
     if source is None or out is None:
         missing = "--out" if out is None else "--source"
         raise ConfigError(f"{missing} is missing: tauext commission --source ur:HOST --out cell7")
-    require(LEAST_DISK_GB <= disk_gb <= MOST_DISK_GB, "disk_gb", disk_gb, f"{LEAST_DISK_GB:g} to {MOST_DISK_GB:g}")
-    require(priority is None or 1 <= priority <= 99, "priority", priority, "1 to 99")
-    require(core is None or 0 <= core < MOST_CORES, "core", core, f"0 to {MOST_CORES - 1}")
-    require(1 <= port <= 65535, "port", port, "1 to 65535")
+    require_ranges(disk_gb, priority, core, port)
 
     from tauext.monitor.cell_file import Cell, load_cell
     from tauext_commission.run import Options, run
@@ -88,9 +87,18 @@ def commission(
         disk_bytes=disk_gb * 1e9,
         core=core,
         priority=priority,
+        alarm=AlarmConfig(**budget) if budget else None,
     )
     with keys() as listening:
         run(out, source, chosen if no_page else with_page(chosen, port), print_line, listening)
+
+
+def require_ranges(disk_gb: float, priority: int | None, core: int | None, port: int) -> None:
+    """Raise ConfigError for an option out of its range."""
+    require(LEAST_DISK_GB <= disk_gb <= MOST_DISK_GB, "disk_gb", disk_gb, f"{LEAST_DISK_GB:g} to {MOST_DISK_GB:g}")
+    require(priority is None or 1 <= priority <= 99, "priority", priority, "1 to 99")
+    require(core is None or 0 <= core < MOST_CORES, "core", core, f"0 to {MOST_CORES - 1}")
+    require(1 <= port <= 65535, "port", port, "1 to 65535")
 
 
 def repair_folder(out: Path, source: str | None) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from tauext.bundle.bundle_file import load_bundle
+from tauext.config import AlarmConfig
 from tauext.data.dataset import FILE_NAME as SPLIT
 from tauext.data.dataset import Split
 from tauext.data.labels import EPOCH, Label
@@ -24,7 +25,9 @@ from tauext.errors import ConfigError, TauextError
 from tauext.files.plain_file import FORMAT, json_of, read_text
 from tauext.files.preflight import expect_folder
 from tauext.files.provenance import write_json
+from tauext.fit.tail import FalseAlarmBudget
 from tauext_commission import journal
+from tauext_commission.budget import BUDGET, chosen_alarm
 from tauext_commission.history_file import (
     BUNDLES,
     COVERAGE,
@@ -384,6 +387,16 @@ class CommissionFolder:
     def append_reply(self, answer: str, by: str) -> None:
         """Keep the answer to the question about a change of the arm."""
         self._append("reply", {"answer": answer, "by": by, "wall": wall()})
+        self._back_up()
+
+    def choose(self, alarm: AlarmConfig, by: str) -> None:
+        """Keep another budget of false alarms: the training process changes the limits of the bundle in charge."""
+        if (now := chosen_alarm(self.path)) == alarm:
+            return
+        words = [str(FalseAlarmBudget(one.false_alarms, one.in_hours)) for one in (alarm, now)]
+        budget = {"false_alarms": alarm.false_alarms, "in_hours": alarm.in_hours, "by": by}
+        text = f"limits are to allow {words[0]} as false alarms, chosen by {by}; before: {words[1]}"
+        self.note(BUDGET, self.seconds(), text, **budget)
         self._back_up()
 
     def _back_up(self) -> None:

@@ -1,22 +1,20 @@
-"""What a commissioned arm was promised and what happened, and its history in words."""
+"""What the limits of a commissioned arm are set for and what happened, and its history in words."""
 
 from __future__ import annotations
 
 import html
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tauext.bundle.bundle_file import load_bundle
 from tauext.errors import ConfigError, TauextError
 from tauext.files.atomic_write import atomic_write
-from tauext.fit.tail import duration, is_kept, promised_per_hour
+from tauext.fit.tail import FalseAlarmBudget, duration, is_kept
 from tauext.monitor.monitored_time import percent
+from tauext_commission.budget import Promise, chosen_alarm, once_in, promise_of
 from tauext_commission.history_file import (
     active_bundle,
-    bundle_file,
     left_out,
     lost_lines,
     lost_words,
@@ -31,21 +29,19 @@ from tauext_commission.history_file import (
     watches,
 )
 
-# --- The promise of the bundle in charge, and its false alarms.
+# --- What the bundle in charge is set for, and its false alarms.
 
 
 MENTIONED = 0.999
-"""Monitored share below which it is stated with the promise."""
+"""Monitored share below which it is stated with the false alarms."""
 
 
 @dataclass(frozen=True)
 class Kept:
-    """Promise of a bundle and what happened while it monitored."""
+    """What the limits of a bundle are set for, and what happened while it monitored."""
 
     bundle: str
-    promised_per_hour: float | None
-    """None: its limits promise nothing."""
-    sentence: str
+    promise: Promise
     hours: float
     """Hours that it monitored: with a valid estimate, in time."""
     false_alarms: Sequence[dict[str, Any]]
@@ -62,27 +58,28 @@ class Kept:
 
     @property
     def kept(self) -> bool:
-        """Whether so many false alarms are plausible under the promise."""
-        if self.promised_per_hour is None or not self.hours:
-            return True
-        return is_kept(self.false, self.hours, self.promised_per_hour)
+        """Whether so many false alarms are plausible at the largest rate that the limits state."""
+        most = self.promise.at_most_per_hour
+        return most is None or not self.hours or is_kept(self.false, self.hours, most)
+
+    def counted(self) -> str:
+        """Counted false alarms, and whether they agree with what the limits are set for; empty: nothing is counted."""
+        if not self.hours:
+            return ""
+        happened = f"{self.false} false alarm{'s' * (self.false != 1)} in {duration(self.hours)}"
+        if self.of_hours and (share := self.hours / self.of_hours) < MENTIONED:
+            happened += f" (monitored {percent(share)} of {duration(self.of_hours)})"
+        if self.unanswered:
+            happened += f", {self.unanswered} alarm{'s' * (self.unanswered != 1)} without an answer"
+        return happened if self.promise.per_hour is None else f"{happened}: {'kept' if self.kept else 'BROKEN'}"
 
     def words(self) -> str:
-        """One sentence."""
-        happened = f"{self.false} false alarm{'s' * (self.false != 1)} in {duration(self.hours)}" if self.hours else ""
-        if happened and self.of_hours and (share := self.hours / self.of_hours) < MENTIONED:
-            happened += f" (monitored {percent(share)} of {duration(self.of_hours)})"
-        if self.promised_per_hour is None:
-            return f"{self.bundle} promises nothing" + (f"; {happened}" if happened else "")
-        promised = f"{self.bundle} promises at most 1 false alarm in {duration(1 / self.promised_per_hour)}"
-        if not happened:
-            return promised
-        more = f", {self.unanswered} alarm{'s' * (self.unanswered != 1)} without an answer" if self.unanswered else ""
-        return f"{promised}; counted: {happened}{more}: {'kept' if self.kept else 'BROKEN'}"
+        """What the limits are set for, what the data prove, and what was counted."""
+        return f"{self.bundle}: {self.promise.words()}" + (f" Counted: {one}." if (one := self.counted()) else "")
 
 
 def kept_of(folder: Path, bundle: str, seconds: float) -> Kept:
-    """The promise of a bundle of this folder, up to so many received seconds."""
+    """What a bundle of this folder is set for and what happened, up to so many received seconds."""
     counted = monitored_of(read_coverage(folder)).get(bundle)
     if counted is None:  # coverage.json is lost
         counted = (sum(w.to_s - w.from_s for w in watches(read_history(folder), seconds) if w.bundle == bundle), 0.0)
@@ -90,8 +87,7 @@ def kept_of(folder: Path, bundle: str, seconds: float) -> Kept:
     alarms = [one for one in read_events(folder) if one.get("bundle") == bundle and one.get("level") == "collision"]
     false = [one for one in alarms if one.get("answer") == "nothing"]
     unanswered = sum(one.get("answer") is None for one in alarms) + left_out(folder).get(bundle, 0)
-    promised, sentence = promise_of(folder, bundle)
-    return Kept(bundle, promised, sentence, hours, false, unanswered, of_hours)
+    return Kept(bundle, promise_of(folder, bundle), hours, false, unanswered, of_hours)
 
 
 def monitored_words(coverage: dict[str, Any]) -> str | None:
@@ -105,18 +101,6 @@ def monitored_words(coverage: dict[str, Any]) -> str | None:
     return f"{newest}{percent(seconds / of_seconds)} of {duration(of_seconds / 3600)} in all"
 
 
-def promise_of(folder: Path, bundle: str) -> tuple[float | None, str]:
-    """False alarms an hour that a bundle's limits are set for, and its sentence; None, "" without a promise."""
-    if (path := bundle_file(folder, bundle)) is None:
-        return None, ""
-    try:
-        limits = json.loads(load_bundle(path).provenance or "{}").get("limits") or {}
-        rate, sentence = promised_per_hour(limits), str(limits.get("sentence") or "")
-    except (TauextError, ValueError, KeyError, TypeError, AttributeError):  # a bundle of another program
-        return None, ""
-    return (rate, sentence) if rate is not None and 1e-9 < rate < 1e9 else (None, sentence)
-
-
 # --- A folder for `tauext show`.
 
 
@@ -128,7 +112,7 @@ def describe_folder(folder: Path) -> dict[str, Any]:
     """
     facts, history, events = read_facts(folder), read_history(folder), read_events(folder)
     coverage = read_coverage(folder)
-    seconds, active = received_s(folder), active_bundle(folder)
+    seconds, active, chosen = received_s(folder), active_bundle(folder), chosen_alarm(folder)
     content: dict[str, Any] = {
         "source": facts.get("source"),
         "created": facts.get("created"),
@@ -147,7 +131,8 @@ def describe_folder(folder: Path) -> dict[str, Any]:
         "unanswered": sum(one.get("answer") is None for one in events),
         "missing": {one["joint"]: one["missing"] for one in coverage.get("joints", ()) if one.get("missing")},
         "monitored": monitored_words(coverage),
-        "promise": None if active is None else kept_of(folder, active.stem, seconds).words(),
+        "budget": str(FalseAlarmBudget(chosen.false_alarms, chosen.in_hours)),
+        "limits": None if active is None else kept_of(folder, active.stem, seconds).words(),
         "history": [{key: one.get(key) for key in ("wall", "kind", "words")} for one in history],
     }
     return content
@@ -156,7 +141,7 @@ def describe_folder(folder: Path) -> dict[str, Any]:
 # --- Several arms in one table for `tauext report`.
 
 
-COLUMNS = ("arm", "since", "monitored", "promise", "alarms", "false", "last training", "warnings")
+COLUMNS = ("arm", "since", "monitored", "set for", "proved", "alarms", "false", "last training", "warnings")
 
 
 def arm_row(folder: Path) -> tuple[str, ...]:
@@ -174,12 +159,11 @@ def _arm_row(folder: Path) -> tuple[str, ...]:
     content, history = describe_folder(folder), read_history(folder)
     since = next((one.get("wall") for one in history if one["kind"] in ("exchange", "activation")), "")
     trained = [one for one in history if one["kind"] == "training"]
-    active, promise = active_bundle(folder), "no bundle yet"
+    active, set_for, proved = active_bundle(folder), "no bundle yet", ""
     if active is not None:
         kept = kept_of(folder, active.stem, 3600 * content["received_hours"])
-        rate, promise = kept.promised_per_hour, "none"
-        if rate is not None:
-            promise = f"1 in {duration(1 / rate)}: {'kept' if kept.kept else 'BROKEN'}"
+        set_for, rate = f"{kept.promise.short()}: {'kept' if kept.kept else 'BROKEN'}", kept.promise.proved_per_hour
+        proved = "" if rate is None else once_in(rate, "down")
     warnings = [
         f"{one['joint']}: {one.get('words')}" if one.get("joint") else str(one.get("words"))
         for one in read_findings(folder)
@@ -191,7 +175,8 @@ def _arm_row(folder: Path) -> tuple[str, ...]:
         folder.name,
         str(since or "")[:10],
         content["monitored"] or "",
-        promise,
+        set_for,
+        proved,
         str(content["alarms"]),
         str(content["nothing"]),
         f"{str(trained[-1].get('wall'))[:10]} {'passed' if trained[-1].get('passed') else 'did not pass'}"
@@ -216,7 +201,7 @@ def write_arms(folders: Sequence[Path], out: Path) -> list[tuple[str, ...]]:
 
 
 def write_history(folder: Path, out: Path) -> Path:
-    """Write OUT/history.html, one file: state, trainings, promises against what happened, and alarms.
+    """Write OUT/history.html, one file: state, trainings, what limits are set for and what happened, and alarms.
 
     Raises:
         ConfigError: the folder is damaged, or the page cannot be written.
@@ -235,10 +220,11 @@ def write_history(folder: Path, out: Path) -> Path:
              for one in trainings],
         ),
         table(
-            "Promises and what happened",
-            ("time", "bundle", "promised an hour", "hours", "false alarms", "kept", ""),
+            "What limits are set for, and what happened",
+            ("time", "bundle", "set for an hour", "proved an hour", "hours", "false alarms", "kept", ""),
             [[in_words(one.get(key)) for key in
-              ("wall", "bundle", "promised_per_hour", "hours", "alarms", "kept", "words")] for one in promises],
+              ("wall", "bundle", "promised_per_hour", "proved_per_hour", "hours", "alarms", "kept", "words")]
+             for one in promises],
         ),
         table(
             "Alarms",
@@ -298,10 +284,10 @@ def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str
 
 
 def chart(trainings: Sequence[dict[str, Any]], promises: Sequence[dict[str, Any]]) -> str:
-    """Detected hits and hours of a promised false alarm over received hours, as SVG."""
+    """Detected hits and hours of a false alarm that limits are set for over received hours, as SVG."""
     rows = (
         ("detected hits", [(one["seconds"], one.get("hits")) for one in trainings], 1.0),
-        ("hours in which 1 false alarm is promised", [
+        ("hours of 1 false alarm that limits are set for", [
             (one["seconds"], 1 / one["promised_per_hour"]) for one in promises if one.get("promised_per_hour")], None),
     )  # fmt: skip
     drawn = []

@@ -91,8 +91,11 @@ RULES: dict[str, Rule] = {
          f"a whole number of 0 to {LARGEST:g}"),
         ("t_ns held_ns from_ns to_ns", lambda value: is_whole(value, LARGEST_STAMP), "a whole number of ns"),
         ("seconds minutes hours replayed_s", lambda value: is_number(value, 0.0), f"a number of 0 to {LARGEST:g}"),
-        ("promised_per_hour per_hour before hits error_ratio test_minutes tau_ext_nm limit_nm newtons took_us",
-         _or_none(is_number), "a finite number or null"),
+        ("false_alarms in_hours", lambda value: is_number(value, 1e-6) and value <= 1e6, "a number of 1e-6 to 1e6"),
+        ("between_per_hour", _or_none(lambda value: isinstance(value, list) and len(value) == 2 and
+         all(map(is_number, value))), "two finite numbers or null"),
+        ("promised_per_hour proved_per_hour per_hour before hits error_ratio test_minutes tau_ext_nm limit_nm newtons "
+         "took_us", _or_none(is_number), "a finite number or null"),
         ("joints units", _each(is_text), "a list of texts"),
         ("lost dropped", is_ranges, "pairs of a first and a last number"),
         ("name", is_file_name, "the name of a file of this folder, without a path"),
@@ -119,6 +122,7 @@ NEEDED = {
     "repair": ("lost",),
     "compacted": ("dropped",),
     "reply": ("answer",),
+    "budget": ("false_alarms", "in_hours", "words", "seconds"),
 }
 """Keys that a line of a kind must have."""
 

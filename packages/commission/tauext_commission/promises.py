@@ -1,8 +1,8 @@
-"""Limits of a commissioned arm from all its calibration motion, as `tauext calibrate` sets them, and their promise.
+"""Limits of a commissioned arm from all its calibration motion, as `tauext calibrate` sets them, and their budget.
 
 CalibrationPeaks keep the peaks of the errors under one model. New motion is added as it comes, so that recordings may
-be dropped; touches that are reported later are left out again. Promises makes bundles with limits by these peaks, and
-counts what happens while they monitor.
+be dropped; touches that are reported later are left out again. Promises makes bundles with limits by these peaks or for
+a budget that a person chooses, and counts what happens while they monitor.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from itertools import chain, groupby
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,13 +26,24 @@ from tauext.data.recording import Recording
 from tauext.errors import TauextError
 from tauext.files.checkpoint import Checkpoint
 from tauext.files.provenance import provenance
-from tauext.fit.tail import promised_per_hour
 from tauext.train.calibrate import write_calibrated
 from tauext.train.held_peaks import Peaks, collect_peaks
 from tauext.train.limits import LIMITS
 from tauext.train.paper_limits import LimitMotion
 from tauext.train.promised_limits import no_freeze
 from tauext.train.suspects import Suspect, find_suspects, suspect_sentences, unusual_sentence
+from tauext_commission.budget import (
+    RAISED,
+    Promise,
+    alarm_to_train,
+    can_take,
+    chosen_alarm,
+    limits_of,
+    once_in,
+    promise_of,
+    put_budget,
+    rate_of,
+)
 from tauext_commission.folder import CommissionFolder, Segment, joined, up_to, wall
 from tauext_commission.history import Kept, kept_of
 from tauext_commission.journal_lines import is_bundle_name
@@ -235,8 +247,6 @@ MOST_TEST_S = 180.0
 """Newest motion outside of training that judges a bundle, [s]."""
 SPARE_S = 660.0
 """Calibration motion is learned when it is this old, [s]: answers about it have then come."""
-RAISED = "raised"
-"""Entry of a bundle's limits: factors on the limits from calibration, by joint, with which a promise was repaired."""
 WATCHED_S = 1200.0
 """Least time that a bundle monitors before its promise counts as broken, [s]: else single alarms replace it by one that
 hardly differs, again and again."""
@@ -244,7 +254,7 @@ Judge = Callable[[str, Sequence[Segment], bool], tuple[dict[str, Any], str]]
 
 
 class Promises:
-    """Limits of the bundle in charge from calibration motion, and whether they keep what they promise."""
+    """Limits of the bundle in charge, and whether false alarms are as rare as these limits state."""
 
     def __init__(self, folder: CommissionFolder, judged: Judge):
         """judged: numbers of a bundle on these recordings, and why it does not pass; the last argument:
@@ -253,6 +263,8 @@ class Promises:
         self._calibration: CalibrationPeaks | None = None
         self._bases: dict[str, str] = {}
         """Names of bundles and of those whose model they have."""
+        self._fits: tuple[str, float] | None = None
+        """A bundle and a budget that it has, or cannot take."""
 
     def calibration(self) -> CalibrationPeaks:
         """Peaks of the calibration motion for the model of the bundle in charge."""
@@ -293,19 +305,22 @@ class Promises:
         segments = segments_of_arm(folder)
         calibration.learn([], segments)
         bundle = load_bundle(folder.bundles / f"{calibration.base}.tauext")  # without the refit of a morning
-        alarm = AlarmConfig()
+        alarm, chosen = alarm_to_train(folder.path), rate_of(chosen_alarm(folder.path))
         try:
             motion = LimitMotion(out.stem, alarm, THREADS, peaks=calibration.peaks, suspects=calibration.suspects())
             limits = LIMITS["asked"](bundle, motion)
         except TauextError as error:
             folder.note("note", folder.seconds(), f"no limits from calibration: {error}")
             return calibration.renewed()
-        rate, sentence = promised_per_hour(limits), limits["sentence"]
-        assert rate is not None
-        happened = kept_of(folder.path, active.stem, folder.seconds())
-        if raised := raise_limits(bundle, load_bundle(active), happened, rate):
+        if can_take(Promise.of_limits(limits), chosen):
+            limits = put_budget(bundle, limits, chosen)
+        promise, sentence = Promise.of_limits(limits), limits["sentence"]
+        assert promise.per_hour is not None
+        happened, more = kept_of(folder.path, active.stem, folder.seconds()), ""
+        if raised := raise_limits(bundle, load_bundle(active), happened, promise.per_hour):
             words = ", ".join(f"{joint} by {factor - 1:.0%}" for joint, factor in raised.items())
-            sentence += f" Limits are raised for false alarms that the calibration does not contain: {words}."
+            more = f" Limits are raised for false alarms that the calibration does not contain: {words}."
+            sentence += more
         facts = json.loads(bundle.provenance or "{}")
         recordings = sorted({name for name, *_ in calibration.spans})
         facts["limits"] = limits | {"sentence": sentence, "recordings": recordings, RAISED: raised}
@@ -316,7 +331,6 @@ class Promises:
         write_calibrated(bundle, out, facts, started)
         tests = [one for one in segments if one.set == "test"]
         found, why = self._judged(out.stem, up_to(tests[::-1], MOST_TEST_S)[::-1], not happened.kept)
-        numbers = {"promised_per_hour": rate, "sentence": sentence, "hours": 0.0, "alarms": 0, "kept": True}
         if why and found:
             folder.note("note", folder.seconds(), f"{out.stem} with new limits does not replace {active.stem}: {why}")
             for path in folder.bundles.glob(f"{out.stem}.*"):
@@ -324,11 +338,67 @@ class Promises:
             return calibration.renewed()
         worse = f"; {found['worse']}" if found.get("worse") else ""
         folder.activate(out.stem, f"limits from {calibration.hours:.2g} h of this work{worse}", folder.seconds())
-        folder.note("promise", folder.seconds(), sentence, bundle=out.stem, **numbers)
+        self._note_promise(out.stem, promise, sentence, more)
         calibration.renewed()  # last: after a kill, the limits are found again
 
+    def _note_promise(self, bundle: str, promise: Promise, sentence: str, more: str = "") -> None:
+        """Add what a new bundle's limits are set for to the history.
+
+        more: further sentence of the line.
+        """
+        numbers = promise.numbers() | {"sentence": sentence, "hours": 0.0, "alarms": 0, "kept": True}
+        self.folder.note("promise", self.folder.seconds(), f"{promise.words()}{more}", bundle=bundle, **numbers)
+
+    # The budget that a person chooses.
+
+    def is_chosen(self) -> bool:
+        """Whether a person has chosen another budget than that of the bundle in charge, which can take it."""
+        active, chosen = self.folder.active(), rate_of(chosen_alarm(self.folder.path))
+        if active is None or self._fits == (active.stem, chosen):
+            return False
+        if can_take(promise_of(self.folder.path, active.stem), chosen):
+            return True
+        self._fits = active.stem, chosen
+        return False
+
+    def put_chosen(self, path: Path) -> None:
+        """Set the limits of a bundle's file for the chosen budget, if it can take it."""
+        chosen = rate_of(chosen_alarm(self.folder.path))
+        if can_take(promise_of(self.folder.path, path.stem), chosen):
+            self._write_chosen(load_bundle(path), path, chosen, {})
+
+    def choose(self) -> None:
+        """A copy of the bundle in charge with limits for the chosen budget."""
+        folder, chosen = self.folder, rate_of(chosen_alarm(self.folder.path))
+        active = folder.active()
+        assert active is not None
+        out, bundle = folder.next_bundle(), load_bundle(active)
+        folder.progress(f"limits of {out.stem}")
+        before, old = promise_of(folder.path, active.stem), np.array(bundle.sliding_limit_nm)
+        bundle.name = out.stem
+        about = provenance("tauext commission", {"bundle": active.name, "budget": once_in(chosen)}, seed=None)
+        limits = self._write_chosen(bundle, out, chosen, about | {"base": base_of(folder, active.stem)})
+        share = float((np.array(bundle.sliding_limit_nm) / old)[np.isfinite(old)][0])
+        why = f"limits for {once_in(chosen)}, {share:.0%} of those for {before.short().partition(' (')[0]}"
+        folder.activate(out.stem, why, folder.seconds())
+        self._note_promise(out.stem, Promise.of_limits(limits), limits["sentence"])
+
+    def _write_chosen(
+        self, bundle: _core.Bundle, out: Path, per_hour: float, calibrated: dict[str, Any]
+    ) -> dict[str, Any]:
+        """Write a bundle with limits for this rate; returns their facts.
+
+        calibrated: the copy's origin; empty: it is no copy.
+        """
+        started, facts = time.monotonic(), json.loads(bundle.provenance or "{}")
+        limits = facts["limits"] = put_budget(bundle, limits_of(bundle), per_hour)
+        if calibrated:
+            facts["calibrated"] = calibrated
+        write_calibrated(bundle, out, facts, started)
+        return limits
+
     def compare(self) -> None:
-        """Add what was promised and what happened to the history."""
+        """Add what limits are set for and what happened to the history."""
         folder, active = self.folder, self.folder.active()
         assert active is not None
         found = kept_of(folder.path, active.stem, folder.seconds())
@@ -337,11 +407,11 @@ class Promises:
             folder.seconds(),
             found.words(),
             bundle=found.bundle,
-            promised_per_hour=found.promised_per_hour,
-            sentence=found.sentence,
+            sentence=found.promise.words(),
             hours=round(found.hours, 3),
             alarms=found.false,
             kept=found.kept,
+            **found.promise.numbers(),
         )
 
     def is_broken(self) -> bool:

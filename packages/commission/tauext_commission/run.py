@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from tauext import _core
+from tauext.config import AlarmConfig
 from tauext.errors import AwayError, ConfigError, TauextError
 from tauext.files.atomic_write import atomic_write
 from tauext.monitor.cell_file import Cell
@@ -101,6 +102,8 @@ class Options:
     disk_bytes: float = 5e9
     core: int | None = None
     priority: int | None = None
+    alarm: AlarmConfig | None = None
+    """Budget of false alarms; None: the folder's."""
 
 
 def run(
@@ -136,6 +139,8 @@ def run(
         options.cell(known.settings.joints)
     with folder.locked(), ExitStack() as stack:
         stack.callback(folder.close)
+        if options.alarm is not None and not folder.unwritable:
+            folder.choose(options.alarm, "command")
         commission = Commission(folder, text, options, echo, stack)
         listen(commission.current_loop)
         commission.run()

@@ -17,7 +17,7 @@ CHECKS_S = (10.0, 30.0, 60.0, 180.0, 600.0, 1800.0, 3600.0)
 PROMISE_S = 3600.0
 """Time between two comparisons of the promise with what happened, [s] of received motion."""
 
-What = Literal["check", "answer", "train", "judge", "learn", "limits", "promise", "morning", "nothing"]
+What = Literal["check", "answer", "train", "judge", "learn", "limits", "promise", "morning", "budget", "nothing"]
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,8 @@ class Facts:
     """Whether a person has answered the question."""
     is_changed: bool = False
     """Whether the bundle in charge is of the arm before a change that may be learned: only a new bundle helps."""
+    is_chosen: bool = False
+    """Whether a person has chosen a budget of false alarms that the bundle in charge has not, but can take."""
     is_early: bool = False
     """Whether a pause has ended and the first strokes after it are too short to be compared: alarms may come from a
     changed arm, and limits must not follow them."""
@@ -82,6 +84,8 @@ def next_step(facts: Facts) -> Step:
         return Step("judge")
     if facts.is_asking:
         return Step("nothing")
+    if facts.is_chosen and not facts.is_changed:
+        return Step("budget")
     due = max((minutes for minutes in SCHEDULE_MIN if 60 * minutes <= facts.kept_s), default=0)
     if due > facts.trained_min and (facts.unseen_s is None or facts.has_bundle):
         return Step("train", due)

@@ -36,6 +36,7 @@ from tauext.train.preparation import TrainingInput
 from tauext.train.stage import accepted_settings, train_on_recordings
 from tauext.train.suspects import search
 from tauext_commission.arm_change import STROKES_S, DayComparison, is_changed
+from tauext_commission.budget import alarm_to_train, promise_of
 from tauext_commission.connect import (
     HELD,
     Remark,
@@ -64,7 +65,7 @@ MOST_ALARMED = 0.02
 MOST_HITS_LOST = 0.05
 """A new bundle replaces the old one only if it loses at most this share of the hits, or has fewer false alarms."""
 LEAST_HITS_KEPT = 0.6
-"""One that promises rarer false alarms, or repairs a broken promise, may detect this share of the hits of the other."""
+"""One that is set for rarer false alarms, or replaces one with too many, may detect this share of the other's hits."""
 BYTES_A_VALUE = 8 * 12
 """Memory of a training for each sample and joint, [bytes]."""
 
@@ -117,6 +118,7 @@ class Trainer:
             learned_h=calibration.hours if calibration else 0.0,
             limits_h=calibration.limits_h if calibration else 0.0,
             is_broken=calibration is not None and self.promises.is_broken(),
+            is_chosen=self.promises.is_chosen(),
             promised_s=max(promised, default=0.0),
             is_asking=bool(question),
             is_answered=question.get("answer") in ("learn", "leave"),
@@ -164,6 +166,7 @@ class Trainer:
             "promise": self.promises.compare,
             "morning": self.days.compare,
             "answer": self.days.answer,
+            "budget": self.promises.choose,
         }
         if step.what in work:
             try:
@@ -213,7 +216,8 @@ class Trainer:
 
     def _config(self, minutes: float) -> TrainConfig:
         prior = PriorConfig() if minutes >= RIPPLES_FROM_MIN else PriorConfig(most_ripples=0)
-        return accepted_settings(TrainConfig(recipe="prior", threads=THREADS, prior=prior), ())
+        alarm = alarm_to_train(self.folder.path)
+        return accepted_settings(TrainConfig(recipe="prior", threads=THREADS, prior=prior, alarm=alarm), ())
 
     def _train(self, minutes: float) -> None:
         """Train on all training motion; suspected touches without a report are left out."""
@@ -289,6 +293,7 @@ class Trainer:
         name, minutes = str(pending["bundle"]), float(pending["minutes"])
         unseen = self._unseen(pending, segments_of_arm(self.folder))
         self.folder.progress(f"judging {name}")
+        self.promises.put_chosen(folder.bundles / f"{name}.tauext")
         candidate = load_bundle(folder.bundles / f"{name}.tauext")
         if is_changed(folder.history()):
             self._withdraw(unseen)
@@ -299,7 +304,10 @@ class Trainer:
             self.days.judge_refit(name, facts, why)
             return
         passed = not why
-        words = f"{name}, trained on {minutes:g} min of motion, " + ("passed" if passed else f"did not pass: {why}")
+        promise = promise_of(folder.path, name)
+        verdict = f"passed. {promise.words()}" if passed else f"did not pass: {why}"
+        words = f"{name}, trained on {minutes:g} min of motion, {verdict}"
+        facts |= promise.numbers()
         worse = f"; {facts['worse']}" if facts.get("worse") else ""
         folder.note("training", folder.seconds(), words, bundle=name, minutes=minutes, passed=passed, why=why, **facts)
         if passed:
@@ -310,7 +318,7 @@ class Trainer:
     def _judged(self, name: str, unseen: Sequence[Segment], is_broken: bool = False) -> tuple[dict[str, Any], str]:
         """Numbers of a bundle on unseen motion for the history, and why it does not pass.
 
-        is_broken: the bundle in charge does not keep its promise.
+        is_broken: the bundle in charge has more false alarms than its limits state.
         """
         folder, active = self.folder, self.folder.active()
         pieces = free_pieces(load_known(self.folder, unseen))
@@ -340,7 +348,6 @@ class Trainer:
             "units": list(new.estimate_units),
             "hits": hits(new),
             "per_hour": (free.false_collisions or 0) / free.hours if free.hours else None,
-            "promised_per_hour": free.promised_per_hour,
             "test_minutes": round(60 * (free.hours or 0.0), 3),
         }
         if before is not None and before.free_motion.hours:
@@ -378,7 +385,7 @@ def hits(bundle: EvaluatedBundle) -> float | None:
 def why_not(new: EvaluatedBundle, old: EvaluatedBundle | None, is_broken: bool = False) -> str:
     """Why a bundle does not monitor the arm; empty: it does.
 
-    is_broken: the old bundle does not keep its promise.
+    is_broken: the old bundle has more false alarms than its limits state.
     """
     free, rejected = new.free_motion, new.rejected
     if not free.hours:
@@ -388,8 +395,8 @@ def why_not(new: EvaluatedBundle, old: EvaluatedBundle | None, is_broken: bool =
         return f"it rejects {rejected.share:.1%} of the motion ({causes})"
     if free.promise_kept is False:
         return (
-            f"{free.false_collisions} false alarms in {60 * free.hours:.1f} min, where its limits allow "
-            f"{free.promised_per_hour:.3g} an hour"
+            f"{free.false_collisions} false alarms in {60 * free.hours:.1f} min, where its limits allow at most "
+            f"{free.at_most_per_hour:.3g} an hour"
         )
     if old is None or not old.free_motion.hours:
         return ""
@@ -424,10 +431,11 @@ def why_worse(new: EvaluatedBundle, old: EvaluatedBundle, is_broken: bool, error
     if false > before:
         parts.append(f"it has {false} false alarms, {old.name} {before}: one more may be chance")
     if seen is not None and seen_before is not None and seen < seen_before:
+        is_rarer = rate is not None and (rate_before is None or rate < rate_before)
         may_lose = [
             ("it has fewer false alarms", false < before),
-            ("it promises rarer false alarms", rate is not None and (rate_before is None or rate < rate_before)),
-            (f"{old.name} does not keep its promise", is_broken),
+            ("its limits are set for rarer false alarms", is_rarer),
+            (f"{old.name} has more false alarms than its limits state", is_broken),
             (f"up to {MOST_HITS_LOST:.0%} of the hits less are accepted", True),
         ]
         reason = next(words for words, holds in may_lose if holds)

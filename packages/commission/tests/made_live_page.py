@@ -18,6 +18,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from made_bundles import watching_bundle
 from tauext_commission import journal
 
 from tauext.data.labels import Label
@@ -118,6 +119,31 @@ def line(state: str, joints: tuple[str, ...], t_s: float) -> dict:
     }  # fmt: skip
 
 
+LIMITS = {
+    "promise": {"asked": {"rate_per_hour": 0.125}, "supported": False, "supported_budget": {"rate_per_hour": 60 / 2.25},
+                "calibration_hours": 7 / 60},
+    "extrapolated": {"per_hour": 0.125, "between_per_hour": [1 / 60, 1.2], "probability": 0.9, "hours": 7 / 60},
+    "sentence": "Limits are set for 1 in 8 h.",
+    "budgets": [
+        {"text": "1 in 8 h", "per_hour": 0.125, "between_per_hour": [1 / 60, 1.2], "share_of_limits": 1.0,
+         "push_n": {"end of the arm": 45.2, "forearm": 118.0}},
+        {"text": "1 in 1 h", "per_hour": 1.0, "between_per_hour": [0.3, 4.0], "share_of_limits": 0.8,
+         "push_n": {"end of the arm": 36.2, "forearm": 94.4}},
+        {"text": "1 in 10 minutes", "per_hour": 6.0, "between_per_hour": [2.0, 12.0], "share_of_limits": 0.6,
+         "push_n": {"end of the arm": 27.1, "forearm": 70.8}},
+    ],
+}  # fmt: skip
+"""Facts of the limits of b0004."""
+
+
+def write_limits(folder: Path, bundle: str = "b0004", limits: dict = LIMITS) -> None:
+    """A bundle of the folder whose limits have these facts."""
+    made = watching_bundle()
+    made.name, made.provenance = bundle, json.dumps({"limits": limits})
+    (folder / "bundles").mkdir(exist_ok=True)
+    made.save(str(folder / "bundles" / f"{bundle}.tauext"))
+
+
 def write_folder(folder: Path, state: str, arm: str = "rig") -> None:
     """Files of this state."""
     joints = JOINTS[arm]
@@ -130,7 +156,7 @@ def write_folder(folder: Path, state: str, arm: str = "rig") -> None:
         (folder / "robot.xml").write_text(ARMS[arm]().xml)
         write_shapes(folder / "robot.xml", folder)
     source = "ur:192.168.0.7" if arm == "none" else f"sim:{arm}"
-    facts = {"format": 1, "source": source, "arm": {"joints": list(joints)}, "state": state}
+    facts = {"format": 1, "journal": 0, "source": source, "arm": {"joints": list(joints)}, "state": state}
     write(folder, "commission.json", facts if state != "connecting" else facts | {"arm": None})
     if state == "connecting":
         words = "the torque of elbow_joint has the wrong sign: gravity pulls the other way"
@@ -167,12 +193,14 @@ def write_folder(folder: Path, state: str, arm: str = "rig") -> None:
             "why": "" if k != 1 else "on unused motion it raised 3 collisions in 1.2 min", "joints": list(joints),
             "error": error, "units": ["N m"] * len(joints), "hits": 0.71 + 0.06 * k, "per_hour": 0.4 / (k + 1),
         })  # fmt: skip
-    for k, (hours, rate, alarms) in enumerate([(0.3, 3.0, 1), (1, 1.0, 1), (3, 0.4, 1), (8, 0.2, 0), (24, 0.125, 6)]):
-        sentence = f"At most one false alarm in {1 / rate:.1f} h now; after 24 h of this work one in 8 h."
-        counted = f"{alarms} counted in {hours:g} h."
+    write_limits(folder)
+    for k, (hours, spread, alarms) in enumerate([(0.3, 30, 0), (1, 20, 1), (3, 9, 1), (8, 4, 0), (24, 2.5, 9)]):
+        sentence = f"Set for one false alarm in 8 h, extrapolated from {hours:g} h."
+        counted = f"Counted: {alarms} false alarms in {hours:g} h."
         lines.append({
             "kind": "promise", "wall": now(3000 - 500 * k), "seconds": 3600.0 * hours, "bundle": "b0004",
-            "words": f"{sentence} {counted}", "sentence": f"{sentence} {counted}", "promised_per_hour": rate,
+            "words": f"{sentence} {counted}", "sentence": sentence, "promised_per_hour": 0.125,
+            "between_per_hour": [0.125 / spread, 0.125 * spread], "proved_per_hour": 3 / hours,
             "hours": hours, "alarms": alarms, "kept": k != 4,
         })  # fmt: skip
     lines.append({

@@ -423,12 +423,17 @@ ODD_VALUES = (
     None, True, -1, 10**12, 10**30, 1e300, float("nan"), float("-inf"), "x", "../x", "\x1b[2J\x00\n", "\ud800",
     "x" * 5000, [], {}, [[1]], [[2, 1]], [float("nan")], {"b0002": "x"}, {"joints": 5}, DEEP,
 )  # fmt: skip
-KINDS = ("facts", "file", "activation", "event", "label", "training", "promise", "step", "reply", "repair", "compacted")
+KINDS = (
+    *("facts", "file", "activation", "event", "label", "training", "promise", "step", "reply", "repair", "compacted"),
+    "budget",
+)
 ALSO = {
     "training": {"bundle": "b0002", "words": "x", "seconds": 1.0, "minutes": 1.0, "passed": True, "hits": 0.5,
                  "error": [0.1, 0.2], "units": ["N m", "N m"], "per_hour": 0.1, "wall": "2026-01-01T00:00:00Z"},
     "promise": {"bundle": "b0002", "words": "x", "seconds": 1.0, "promised_per_hour": 1.0, "hours": 1.0, "alarms": 0,
-                "kept": True, "sentence": "x", "wall": "2026-01-01T00:00:00Z"},
+                "kept": True, "sentence": "x", "wall": "2026-01-01T00:00:00Z", "between_per_hour": [0.1, 2.0],
+                "proved_per_hour": 9.0},
+    "budget": {"words": "x", "seconds": 1.0, "false_alarms": 1.0, "in_hours": 2.0, "by": "page", "wall": ""},
     "step": {"words": "another tool?", "seconds": 1.0, "segment": 1, "learned": True, "wall": ""},
     "reply": {"answer": "leave", "by": "page", "wall": ""},
     "repair": {"lost": [[1000, 1001]], "words": "x", "seconds": 1.0},
@@ -462,7 +467,7 @@ def test_forged_lines_end_in_sentences(kind, copy, prepared, tmp_path, capsys):
         assert all(isinstance(one, ConfigError) for one in made.errors), made.errors
         assert not [line for line in made.lines if "Error" in line], made.lines
         folder = CommissionFolder.open(copy, create=True)
-        assert Trainer(folder).step() in ("nothing", "answer", "check", "judge", "train", "promise")
+        assert Trainer(folder).step() in ("nothing", "answer", "check", "judge", "train", "promise", "budget")
     assert {one for one in tree_of(tmp_path) if not one.startswith("cell/")} == around
     for words in (["show", str(copy)], ["show", str(copy), "--json"]):
         assert main(words) == 0

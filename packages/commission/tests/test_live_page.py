@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from made_live_page import JOINTS, FakeLoop, line, serving, write_folder
 from tauext_commission import journal
+from tauext_commission.budget import chosen_alarm
 from tauext_commission.page import connections, live_server
 from tauext_commission.page.access import is_own_name, listening_socket
 from tauext_commission.page.live_arm import arm_facts
@@ -21,6 +22,7 @@ from tauext_commission.page.live_server import line_of
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from tauext.config import AlarmConfig
 from tauext.data.labels import Label
 from tauext.errors import ConfigError
 
@@ -243,6 +245,33 @@ def test_any_other_request_sends_nothing(page, path, body):
     before = list(loop.received)
     assert line_of(path, body) is None
     assert post(port, path, body)[0] == 400 and post(port, "/nothing", body)[0] == 404 and loop.received == before
+
+
+@pytest.mark.parametrize(
+    "body", [{}, {"per_hour": True}, {"per_hour": -1}, {"per_hour": "1"}, {"per_hour": 1, "x": 1}, []]
+)
+def test_a_malformed_budget_is_refused(page, body):
+    assert post(page[0], "/budget", body)[:2] == (400, b"the request is malformed\n")
+
+
+def test_a_budget_of_the_table_is_chosen_and_any_other_is_refused(tmp_path):
+    with served(tmp_path) as (port, loop):
+        folder = tmp_path / "cell7"
+        limits = json.loads(get(port, "/state")[1])["limits"]
+        assert limits["bundle"] == "b0004" and limits["per_hour"] == limits["chosen_per_hour"] == 0.125
+        assert limits["proved_words"] == "The data alone prove 1 in 2.25 minutes."
+        status, content, _ = post(port, "/budget", {"per_hour": 3})
+        rule = "must be one of 0.125 (1 in 8 h), 1 (1 in 1 h), 6 (1 in 10 minutes)"
+        assert status == 409 and json.loads(content)["answer"] == f"error: false alarms an hour = 3 {rule}"
+        assert chosen_alarm(folder) == AlarmConfig()
+        assert post(port, "/budget", {"per_hour": 6})[0] == 200 and loop.received == []
+        assert chosen_alarm(folder).in_hours == 1 / 6
+        state = json.loads(get(port, "/state")[1])
+        assert state["limits"]["chosen_per_hour"] == 6 and state["limits"]["per_hour"] == 0.125
+        assert state["history"][-1]["words"].startswith("limits are to allow 1 in 10 minutes")
+        (folder / "bundles" / "b0004.tauext").unlink()
+        status, content, _ = post(port, "/budget", {"per_hour": 1})
+        assert status == 409 and b"no table of budgets is there yet" in content
 
 
 def test_a_refusal_and_a_loop_that_is_gone_are_reported(tmp_path):

@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("websockets.sync.client")
 from made_browser import CHROMIUM, Browser
 from made_live_page import JOINTS, LOST
+from tauext_commission.budget import chosen_alarm
 from tauext_commission.page import live_server
 from tauext_lab.sim.arms import ARMS
 from test_live_page import TOKEN, served
@@ -28,6 +29,12 @@ RED = {
 """States in which nothing is monitored, and why."""
 
 
+MORE = "Counted: 9 false alarms in 24 h. That is more than stated: limits are raised."
+ROWS = [
+    ["8", "h", "45", "N", "118", "N"],
+    ["1", "h", "36", "N", "94", "N"],
+    ["10", "min", "27", "N", "71", "N"],
+]
 BANNERS = {
     "alarm": "plain: Monitored by b0004",
     "answered": "plain: Monitored by b0004",
@@ -205,8 +212,17 @@ def test_a_state_is_shown(browser, tmp_path, state, arm, width, height, scheme):
             assert page.value("!learn.hidden && learn.innerText.startsWith('about ')")
         if state == "monitoring":
             until(lambda: page.value("past.length > 250 && past[0].ms < heard_ms - 19000"), "the past of the curves")
-            words = "Still learning: at most one false alarm in 8 hours; rarer with every hour"
-            assert page.value("document.getElementById('promise').innerText") == words
+            words = "Set for one false alarm in 8 h, extrapolated from 7 minutes: between 1 in 50 minutes and 1 in 60 h"
+            assert page.value("document.getElementById('promise').innerText") == f"{words} (90 %)."
+            proved = "The data alone prove 1 in 2.25 minutes."
+            assert page.value("document.getElementById('proved').innerText") == proved
+            assert page.value("document.getElementById('counted').innerText") == MORE
+            assert "promise" not in text().lower()
+            rows = page.value("[...document.querySelectorAll('#budgets tr')].map(row => row.innerText)")
+            assert [row.split() for row in rows[1:]] == ROWS
+            page.value("document.querySelectorAll('#budgets input')[1].click()")
+            until(lambda: "1 in 1 h is chosen. Its limits take over" in text(), "the choice")
+            assert chosen_alarm(tmp_path / "cell7").in_hours == 1.0
         if state == "alarm":
             until(lambda: "The alarm stands until" in text(), "the alarm")
             page.value("document.getElementById('nothing').click()")

@@ -30,7 +30,7 @@ from tauext import _core
 from tauext._core import CoreError
 from tauext.bundle.bundle_file import load_bundle
 from tauext.cli import main
-from tauext.config import PAPER_CASES
+from tauext.config import PAPER_CASES, AlarmConfig
 from tauext.data.dataset import load_dataset
 from tauext.data.free_motion import cut
 from tauext.data.labels import Label
@@ -80,12 +80,16 @@ def test_the_first_bundle_monitors_after_two_minutes_without_the_touch(learned):
     assert touch.answer == "suspect" and len(touches) <= 3
     assert active(learned) == "b0001" and active_bundle(learned.path).stem == "b0001"
     bundle = load_bundle(learned.active())
-    assert max(bundle.sliding_limit_nm) < 2.0  # with the touch 3.6 Nm
+    factor = json.loads(bundle.provenance)["limits"]["extrapolated"]["factor"]
+    assert factor > 1 and max(bundle.sliding_limit_nm) < 2.0 * factor  # with the touch 3.6 Nm
     training = [one for one in read_history(learned.path) if one["kind"] == "training"][0]
     assert training["passed"] and training["minutes"] == 1 and 0.2 < training["hits"] <= 1
     assert len(training["error"]) == 2 and training["test_minutes"] >= 0.9
     shown = describe_folder(learned.path)
-    assert shown["bundle"] == "b0001" and shown["trainings"] == 1 and "promises at most" in shown["promise"]
+    assert shown["bundle"] == "b0001" and shown["trainings"] == 1 and shown["budget"] == "1 in 8 h"
+    assert "Set for one false alarm in 8 h, extrapolated from 4" in shown["limits"]
+    assert "The data alone prove 1 in 1" in shown["limits"]  # seconds
+    assert training["promised_per_hour"] == 0.125 < training["between_per_hour"][1] < training["proved_per_hour"]
     trained_on = json.loads(bundle.provenance)["recordings"]["train"]
     assert not set(load_dataset(learned.path).split.test) & {f"{name}.parquet" for name in trained_on}
 
@@ -151,7 +155,7 @@ def test_a_bundle_that_rejects_or_alarms_does_not_monitor(copy, monkeypatch):
         if why == "false alarms in":
             monkeypatch.setattr(trainer, "MOST_ALARMED", 1.0)
             facts = json.loads(bundle.provenance)
-            facts["limits"]["promise"]["supported_budget"]["rate_per_hour"] = 0.1
+            facts["limits"]["extrapolated"]["between_per_hour"] = [0.01, 0.1]
             bundle.provenance = json.dumps(facts)
         for name, value in change.items():
             setattr(bundle, name, value)
@@ -181,7 +185,8 @@ def test_limits_follow_from_calibration_and_grow_with_it(copy, motion, quick):
     hours = one.promises.calibration().hours
     assert active(copy) == "b0002" and 50 / 3600 < hours < 70 / 3600
     promise = copy.history()[-1]
-    assert promise["kind"] == "promise" and abs(promise["promised_per_hour"] - 3.0 / hours) < 0.1 / hours
+    assert promise["kind"] == "promise" and promise["promised_per_hour"] == 0.125
+    assert abs(promise["proved_per_hour"] - 3.0 / hours) < 0.1 / hours
     old, new = (load_bundle(copy.bundles / f"{name}.tauext") for name in ("b0001", "b0002"))
     assert list(old.prior.weights) == list(new.prior.weights)
 
@@ -281,11 +286,11 @@ def test_a_broken_promise_is_reported_and_repaired(copy, motion, quick, monkeypa
     assert one.facts().is_broken and one.step() == "limits" and active(copy) == "b0003"
     assert not one.facts().is_broken
     one.promises.compare()
-    assert copy.history()[-1]["kind"] == "promise" and "b0003 promises at most 1" in words(copy)[-1]
+    assert copy.history()[-1]["kind"] == "promise" and "b0003: Set for one false alarm in 8 h" in words(copy)[-1]
 
     # The alarms do not appear in a replay of their motion. All but those that the rate allows would have been silent.
     old, new = (load_bundle(copy.bundles / f"{name}.tauext") for name in ("b0002", "b0003"))
-    allowed = int(found.promised_per_hour * found.hours)
+    allowed = int(found.promise.per_hour * found.hours)
     assert 0 <= allowed < 5
     largest_left = 1.0 + 0.1 * (19 - 2 * allowed)
     for name in ("sliding_limit_nm", "near_stiction_limit_nm"):
@@ -303,8 +308,45 @@ def test_a_broken_promise_is_reported_and_repaired(copy, motion, quick, monkeypa
     # Calibration that contains the errors by now needs no factor on top of its own limits.
     higher = [1.2 * limit for limit in new.sliding_limit_nm]
     later.sliding_limit_nm, later.near_stiction_limit_nm = higher, [1.2 * limit for limit in new.near_stiction_limit_nm]
-    assert promises.raise_limits(later, new, replace(found, false_alarms=[]), found.promised_per_hour) == {}
+    assert promises.raise_limits(later, new, replace(found, false_alarms=[]), found.promise.per_hour) == {}
     np.testing.assert_allclose(later.sliding_limit_nm, higher)
+
+
+def test_a_chosen_budget_changes_the_limits_of_the_bundle_in_charge_at_once(copy, monkeypatch):
+    monkeypatch.setattr(arm_change.DayComparison, "strokes", lambda *_: [])
+    old = load_bundle(copy.active())
+    share = json.loads(old.provenance)["limits"]["budgets"][1]["share_of_limits"]
+    assert 0.3 < share < 1
+    copy.choose(AlarmConfig(in_hours=1.0), "page")
+    one = Trainer(copy)
+    assert one.step() == "budget" and active(copy) == "b0002" and not one.facts().is_chosen
+    new = load_bundle(copy.active())
+    for name in ("sliding_limit_nm", "near_stiction_limit_nm"):
+        np.testing.assert_allclose(getattr(new, name), share * np.array(getattr(old, name)))
+    assert all(np.array(new.contact_sliding_limit_nm) <= new.sliding_limit_nm)
+    assert list(new.prior.weights) == list(old.prior.weights) and promises.base_of(copy, "b0002") == "b0001"
+    assert words(copy)[-2].startswith(f"b0002 is chosen: limits for 1 in 1 h, {share:.0%} of those for 1 in 8 h")
+    assert words(copy)[-1].startswith("Set for one false alarm in 1 h, extrapolated from 4")
+    assert describe_folder(copy.path)["budget"] == "1 in 1 h"
+    copy.choose(AlarmConfig(in_hours=8.0), "page")
+    assert one.step() == "budget" and active(copy) == "b0003"
+    np.testing.assert_allclose(load_bundle(copy.active()).sliding_limit_nm, old.sliding_limit_nm)
+    copy.choose(AlarmConfig(in_hours=100.0), "command")  # beyond the table: for later trainings
+    assert not one.facts().is_chosen and one._config(1).alarm.in_hours == 100.0
+
+
+@pytest.mark.slow
+def test_later_trainings_have_the_chosen_budget(copy, motion, monkeypatch):
+    monkeypatch.setattr(arm_change.DayComparison, "strokes", lambda *_: [])
+    copy.choose(AlarmConfig(in_hours=1.0), "page")
+    one = Trainer(copy)
+    assert [one.step() for _ in range(2)] == ["budget", "train"]
+    filled(copy.path, [cut(motion, slice(121_000, 200_000))])
+    assert one.step() == "judge"
+    training = [line for line in copy.history() if line["kind"] == "training"][-1]
+    assert training["promised_per_hour"] == 1.0 and "in 1 h, extrapolated from 1" in training["words"]
+    limits = json.loads(load_bundle(copy.bundles / f"{training['bundle']}.tauext").provenance)["limits"]
+    assert [round(one["per_hour"], 3) for one in limits["budgets"]] == [0.125, 1.0, 6.0]
 
 
 def another_day(factor: float = 1.0, ball_kg: float = 0.0):
@@ -474,9 +516,10 @@ def test_another_friction_alone_names_no_load(copy, motion, monkeypatch):
 
 def judged(false: int, seen: int, promised: float = 3.0, kept: bool = True, rejected: float = 0.0):
     """Results of an hour with so many false alarms, and so many of 100 hits detected."""
+    rates = {"promised_per_hour": promised, "at_most_per_hour": 1.5 * promised}
     return SimpleNamespace(
         name="old",
-        free_motion=SimpleNamespace(hours=1.0, false_collisions=false, promise_kept=kept, promised_per_hour=promised),
+        free_motion=SimpleNamespace(hours=1.0, false_collisions=false, promise_kept=kept, **rates),
         rejected=SimpleNamespace(share=rejected, causes={"clock": rejected}),
         forces=SimpleNamespace(added=SimpleNamespace(curves=[SimpleNamespace(events=100, latched=seen)])),
     )
@@ -522,7 +565,7 @@ def test_a_training_refused_for_the_whole_stream_names_a_remedy_that_the_command
         (judged(1, 40, promised=2.0), "it detects 40% of the hits, old 80%"),
         (judged(0, 70), ""),
         (judged(3, 90), "3 false alarms, 1 with old"),
-        (judged(5, 80, kept=False), "5 false alarms in 60.0 min, where its limits allow 3 an hour"),
+        (judged(5, 80, kept=False), "5 false alarms in 60.0 min, where its limits allow at most 4.5 an hour"),
         (judged(1, 80, rejected=0.03), "it rejects 3.0% of the motion (clock 3.0%)"),
     ],
 )
@@ -538,8 +581,8 @@ def test_a_bundle_is_replaced_by_none_that_is_worse(new, why):
         (judged(1, 80), False, 1.0, ""),
         (judged(0, 85), False, 0.9, ""),
         (judged(1, 76), False, 1.0, "it detects 76.0% of the hits, old 80.0%: up to 5% of the hits less are accepted"),
-        (judged(1, 50, promised=2.0), False, 1.0, "it detects 50.0% of the hits, old 80.0%: it promises rarer false"),
-        (judged(1, 50), True, 1.0, "it detects 50.0% of the hits, old 80.0%: old does not keep its promise"),
+        (judged(1, 50, promised=2.0), False, 1.0, "it detects 50.0% of the hits, old 80.0%: its limits are set for"),
+        (judged(1, 50), True, 1.0, "it detects 50.0% of the hits, old 80.0%: old has more false"),
         (judged(0, 70), False, 1.0, "it detects 70.0% of the hits, old 80.0%: it has fewer false alarms"),
         (judged(2, 80), False, 1.0, "it has 2 false alarms, old 1: one more may be chance"),
         (judged(1, 80), False, 1.2, "its error is 1.20 times that of old"),
@@ -621,12 +664,14 @@ def test_a_report_of_several_arms_is_one_table(learned, tmp_path, capsys):
         add_event(cell, id=number, level="collision", bundle="b0001")
         if answer:
             cell.append_label(Label(number, 1, 0, 0, answer, "page", "", "b0001"))
+    cell.coverage_file.write_text(json.dumps(cell.coverage() | {"monitored": {"b0001": [360.0, 360.0]}}))
     cell.findings_file.write_text('{"findings": [{"severity": "warning", "words": "gaps <of> the clock"}]}')
     (tmp_path / "cell2" / "commission.json").write_text("{")
     printed = run(capsys, "report", *arms, "--out", str(tmp_path / "page")).splitlines()
     today = cell.history()[0]["wall"][:10]
-    assert printed[0].split()[:4] == ["arm", "since", "monitored", "promise"]
-    assert re.fullmatch(rf"cell1  {today} .* 1 in .*: kept +3 +1  {today} passed", printed[1]), printed[1]
+    assert printed[0].split()[:6] == ["arm", "since", "monitored", "set", "for", "proved"]
+    set_for = r"1 in 8 h \(1 in .*\): kept +1 in 1\S* s"
+    assert re.fullmatch(rf"cell1  {today} .* {set_for} +3 +1  {today} passed", printed[1]), printed[1]
     assert printed[2].split() == ["cell2"] and printed[3].split() == ["cell3", "no", "bundle", "yet", "0", "0"]
     assert printed[4] == "cell1: gaps <of> the clock" and printed[5].startswith("cell2: ")
     page = (tmp_path / "page" / "arms.html").read_text()

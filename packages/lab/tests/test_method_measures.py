@@ -17,7 +17,7 @@ from tauext_lab.evaluate.results import to_json
 
 from tauext.bundle.estimates import COLLISION
 from tauext.errors import ConfigError
-from tauext.fit.tail import promised_per_hour
+from tauext.fit.tail import at_most_per_hour, promised_per_hour
 from tauext.monitor.estimate import estimate_recording
 
 
@@ -88,13 +88,21 @@ def test_what_was_promised_is_compared_with_what_was_counted():
     promise = {"asked": asked, "supported": True, "supported_budget": less}
     assert promised_per_hour({"promise": promise}) == 0.125
     assert promised_per_hour({"promise": promise | {"supported": False}}) == 6.0
-    assert promised_per_hour({}) is None
+    assert promised_per_hour({}) is at_most_per_hour({}) is None
+    extrapolated = {"promise": promise, "extrapolated": {"per_hour": 0.125, "between_per_hour": [0.02, 1.2]}}
+    assert promised_per_hour(extrapolated) == 0.125 and at_most_per_hour({"promise": promise}) == 0.125
+    assert at_most_per_hour(extrapolated) == 1.2
+    wide = {"promise": promise, "extrapolated": {"per_hour": 0.125, "between_per_hour": [0.0, 99.0], "factor": 0.9}}
+    assert [at_most_per_hour(wide | {"minutes_factor": one}) for one in (1.0, 1.4)] == [99.0, 6.0]
     # Garwood: three events in 10 h, 95 %: 0.062 to 0.877 an hour.
     counted = partial(FreeMotionErrors, 1, seconds=36000.0)
     found = counted(false_collisions=3).summary(0.125)
     assert_allclose(found.false_collisions_interval_per_hour, [0.0619, 0.8767], atol=1e-4)
     assert found.promise_consistent and found.promise_kept
     assert not counted(false_collisions=6).summary(0.125).promise_kept
+    few = counted(false_collisions=6).summary(0.125, 1.2)  # within the interval that the limits state
+    assert few.promise_kept and not few.promise_consistent and few.at_most_per_hour == 1.2
+    assert not counted(false_collisions=20).summary(0.125, 1.2).promise_kept
     one = counted(false_collisions=1).summary(1.0)
     assert not one.promise_consistent and one.promise_kept
     none = FreeMotionErrors(1).summary(0.125)

@@ -533,6 +533,13 @@ def test_a_promise_is_reported_as_kept_or_not(kept, consistent, word, copied):
     assert word in methods(load_results(copied[0])).rows[0].cells[-5]
 
 
+@pytest.mark.parametrize(("most", "cell"), [(None, "0.125"), (0.125, "0.125"), (1.2, "0.125, at most 1.2")])
+def test_the_rate_of_extrapolated_limits_has_its_upper_end(most, cell, copied):
+    entries = {"promised_per_hour": 0.125, "at_most_per_hour": most}
+    change(copied[0], lambda content: content["bundles"][0]["free_motion"].update(entries))
+    assert methods(load_results(copied[0])).rows[0].cells[-6] == cell
+
+
 def test_the_mark_of_a_method_stands_at_its_own_false_collisions_and_misses(made):
     results = load_results(made[0])
     axes = draw_missed_curve(results).figure.axes[0]

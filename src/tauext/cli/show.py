@@ -338,7 +338,7 @@ def words_of_provenance(content: Content) -> dict[str, str]:
             f"at {moment['time_s']:.1f} s of {moment['recording']}: {moment['limit_nm']:.3g} {units[moment['joint']]} "
             f"{moment['region'].replace('_', ' ')}, without it {moment['without_nm']:.3g} {units[moment['joint']]}"
         )
-    rows |= named(facts, ("limits promise", "limits", "sentence"))
+    rows |= named(facts, ("false alarms", "limits", "sentence"))
     for one in limits.get("budgets", []):
         pushes = ", ".join(f"{push:.3g} N at the {place}" for place, push in one["push_n"].items())
         share = f"limits {one['share_of_limits']:.0%} as high"

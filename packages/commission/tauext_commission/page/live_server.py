@@ -1,5 +1,6 @@
 """The server of a live page: a process of its own that reads the loop's socket and the folder's files, and sends lines
-to the control socket. It serves one HTML file, JSON, and the loop's lines on a WebSocket."""
+to the control socket. It serves one HTML file, JSON, and the loop's lines on a WebSocket. A chosen budget of false
+alarms is a line of the folder's journal."""
 
 from __future__ import annotations
 
@@ -21,7 +22,10 @@ from typing import Any
 
 from aiohttp import web
 
-from tauext_commission.history_file import read_events, read_history, read_question
+from tauext.errors import TauextError
+from tauext_commission.budget import Promise, alarm_in, chosen_alarm, promise_of, rate_of
+from tauext_commission.history_file import active_bundle, read_events, read_history, read_question
+from tauext_commission.journal_lines import is_number
 from tauext_commission.page.access import is_from_own_page, is_own_host
 from tauext_commission.page.connections import Connection
 
@@ -56,6 +60,7 @@ class Folder:
         self.path = folder
         self._kept: dict[str, tuple[tuple[int, int], Any]] = {}
         self._reading = threading.Lock()
+        self._promise: tuple[object, Promise] = None, Promise()
 
     def state(self) -> dict[str, Any]:
         """All that the page shows beside the live line; a missing or damaged file is None or empty."""
@@ -66,11 +71,36 @@ class Folder:
         return whole | {
             "active": {"bundle": begun[-1].get("bundle")} if begun else None,
             "question": read_question(self.path) or None,
+            "limits": self._limits(whole["commission"] or {}),
             "name": self.path.resolve().name,
             "robot": self._robot_stamp(),
             "history": history[-SHOWN_HISTORY:],
             "events": read_events(self.path)[-SHOWN_EVENTS:],
         }
+
+    def _limits(self, facts: dict[str, Any]) -> dict[str, Any]:
+        """What the limits of the bundle that monitors are set for, its table of budgets, and the chosen rate."""
+        active = active_bundle(self.path)
+        name = facts.get("running") or (active.stem if active else None)
+        if self._promise[0] != name or self._promise[1].per_hour is None:
+            self._promise = name, promise_of(self.path, name)
+        promise = self._promise[1]
+        words = {"set_words": promise.set_words(), "proved_words": promise.proved_words()}
+        return promise._asdict() | words | {"bundle": name, "chosen_per_hour": rate_of(chosen_alarm(self.path))}
+
+    def choose(self, per_hour: float) -> str:
+        """Keep a budget of the table for the training process; returns `ok` or `error: ...`."""
+        from tauext_commission.folder import CommissionFolder
+
+        try:
+            active = active_bundle(self.path)
+            alarm = alarm_in(promise_of(self.path, active.stem if active else None).budgets, per_hour)
+            CommissionFolder.open(self.path).choose(alarm, "page")
+        except TauextError as error:
+            return f"error: {error}"
+        except OSError as error:
+            return f"error: not stored: {error.strerror or error}; please choose again"
+        return "ok"
 
     def arm(self) -> dict[str, Any]:
         """See arm_facts()."""
@@ -124,7 +154,6 @@ def trace_of(path: Path, event_ns: int) -> dict[str, Any] | None:
     import numpy as np
 
     from tauext.bundle.estimates import load_estimates
-    from tauext.errors import TauextError
 
     try:
         found = load_estimates(path)
@@ -184,6 +213,7 @@ async def ask(path: Path, line: str) -> str:
     return answer.decode(errors="replace").strip() or "error: the loop has ended"
 
 
+BUDGET = "/budget"
 COMMANDS = ("/answer", "/reset", "/learn", "/push", "/sim")
 
 
@@ -203,6 +233,12 @@ def line_of(path: str, body: dict[str, Any]) -> str | None:
         if point and force:
             return f"sim push joint={body['joint']} force={force} point={point} seconds={PUSH_S}"
     return sim_line(body) if path == "/sim" and len(body) == 1 else None
+
+
+def rate_in(body: Any) -> float | None:
+    """The rate of a request for another budget, [1/h]; None: the request is malformed."""
+    value = body.get("per_hour") if isinstance(body, dict) and len(body) == 1 else None
+    return float(value) if value is not None and is_number(value, 1e-9) else None
 
 
 def sim_line(body: dict[str, Any]) -> str | None:
@@ -261,7 +297,7 @@ class Server:
         pages = {"/": self._show, "/state": self._state, "/arm": self._arm, "/live": self._stream}
         app.add_routes([web.get(path, show, allow_head=False) for path, show in pages.items()])
         app.add_routes([web.get(r"/event/{id:[0-9]{1,18}}", self._event, allow_head=False)])
-        app.add_routes([web.post(path, self._send) for path in COMMANDS])
+        app.add_routes([web.post(path, self._send) for path in (*COMMANDS, BUDGET)])
         runner = web.AppRunner(app, handle_signals=False)
         await runner.setup()
         assert runner.server is not None
@@ -374,10 +410,12 @@ class Server:
             body = json.loads(content)
         except (ValueError, RecursionError):
             body = None
-        line = line_of(request.path, body) if isinstance(body, dict) else None
-        if line is None:
+        if request.path == BUDGET and (rate := rate_in(body)) is not None:
+            answer = await asyncio.to_thread(self._folder.choose, rate)
+        elif line := line_of(request.path, body) if isinstance(body, dict) else None:
+            answer = await ask(self._control, line)
+        else:
             return refuse(HTTPStatus.BAD_REQUEST, "the request is malformed")
-        answer = await ask(self._control, line)
         return web.json_response({"answer": answer}, status=HTTPStatus.OK if answer == "ok" else HTTPStatus.CONFLICT)
 
 

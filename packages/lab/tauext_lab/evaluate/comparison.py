@@ -22,7 +22,7 @@ from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.files.checkpoint import Checkpoint
 from tauext.files.plain_file import FORMAT
-from tauext.fit.tail import promised_per_hour
+from tauext.fit.tail import at_most_per_hour, promised_per_hour
 from tauext.monitor.estimate import estimate_recording
 from tauext_lab.evaluate.collisions import (
     STRONG_PEAK,
@@ -124,6 +124,7 @@ class BundleMeasures:
         """
         bundle = self._bundle
         trained = json.loads(bundle.provenance or "{}")
+        limits = trained.get("limits") or {}
         losses = tuple((int(step), training, check) for step, training, check in loss_history or ())
         sliding, near = (
             tuple(limit if np.isfinite(limit) else None for limit in level)  # none: not monitored
@@ -134,7 +135,7 @@ class BundleMeasures:
             bundle=f"{bundle.name}.tauext",
             estimate_units=tuple(bundle.estimate_units),
             **{key: trained.get(key) for key in COPIED},
-            free_motion=self._errors.summary(promised_per_hour(trained.get("limits") or {})),
+            free_motion=self._errors.summary(promised_per_hour(limits), at_most_per_hour(limits)),
             limits=Limits(sliding, near, bundle.error_scale.follows),
             collisions=tuple(self._verdicts),
             ten_found=sum(verdict.found for verdict in self._verdicts if verdict.id in ten),

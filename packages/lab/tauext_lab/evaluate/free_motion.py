@@ -63,12 +63,16 @@ class FreeMotionErrors:
         self.false_alarms += count_episodes(estimates.detection, quiet)
         self.false_collisions += count_episodes(estimates.held_alarm == COLLISION, quiet)
 
-    def summary(self, promised: float | None) -> FreeMotion:
-        """Errors, and whether the promised rate of false collisions was kept.
+    def summary(self, promised: float | None, at_most: float | None = None) -> FreeMotion:
+        """Errors, and whether there are no more false collisions than the limits state.
 
-        promise_consistent: the promised rate lies in the 95 % interval. promise_kept: the promised rate makes this many
-        false collisions or more plausible. None without a promise. Without a healthy sample of free motion nothing was
-        measured, and everything is None.
+        promise_consistent: the rate that limits are set for lies in the 95 % interval. promise_kept: the largest rate
+        that agrees with the limits makes this many false collisions or more plausible. None without a rate. Without a
+        healthy sample of free motion nothing was measured, and everything is None.
+
+        Args:
+            promised: rate that limits are set for, [1/h]; None: none.
+            at_most: upper end of the interval of extrapolated limits, [1/h]; None: `promised`.
         """
         sliding = self.samples - self._near
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -77,6 +81,7 @@ class FreeMotionErrors:
             sliding_rmse = np.sqrt((self._square - self._near_square) / sliding)
         hours, false, is_measured = float(self.seconds) / 3600, self.false_collisions, self.seconds > 0
         known, interval = (promised, rate_interval(false, hours)) if is_measured else (None, None)
+        most = promised if at_most is None else at_most
         return FreeMotion(
             recordings=tuple(self.recordings),
             hours=hours,
@@ -94,7 +99,8 @@ class FreeMotionErrors:
             promised_per_hour=promised,
             false_collisions_interval_per_hour=interval,
             promise_consistent=None if known is None or interval is None else interval[0] <= known <= interval[1],
-            promise_kept=None if known is None else is_kept(false, hours, known),
+            promise_kept=None if known is None or most is None else is_kept(false, hours, most),
+            at_most_per_hour=most,
         )
 
 

@@ -253,11 +253,13 @@ class FreeMotion:
     false_alarms_per_hour: Number
     false_collisions: int | None
     promised_per_hour: Number
-    """False collisions; None if the limits promise nothing."""
+    """False collisions that the limits are set for; None if they have no budget."""
     false_collisions_interval_per_hour: tuple[Number, Number] | None
     """The 95 % interval."""
     promise_consistent: bool | None
     promise_kept: bool | None
+    at_most_per_hour: Number = None
+    """Upper end of the interval that extrapolated limits state; else promised_per_hour."""
 
 
 @dataclass(frozen=True)

@@ -250,11 +250,12 @@ def steps(results: Results, bundle: EvaluatedBundle) -> list[Step]:
         lines.append(Step(words, "tauext check"))
     if free.promised_per_hour is None:
         words = (
-            "The limits promise nothing about false alarms. Record an hour or more of the arm's own work with nothing "
+            "The limits are set for no rate of false alarms. Record an hour or more of the arm's own work with nothing "
         )
         lines.append(Step(f"{words}touching it, and set the limits for an acceptable rate:", "tauext calibrate"))
     elif free.promise_kept is False:
-        words = f"At most {plain(free.promised_per_hour)} false alarms an hour were promised, and the test had more. "
+        most = free.promised_per_hour if free.at_most_per_hour is None else free.at_most_per_hour
+        words = f"The limits allow at most {plain(most)} false alarms an hour, and the test had more. "
         words += "Find out what differs (load, speed, temperature), record it, and set new limits:"
         lines.append(Step(words, "tauext calibrate"))
     if free.hours and free.hours < FEW_HOURS:

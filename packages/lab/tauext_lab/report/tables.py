@@ -317,10 +317,10 @@ EACH_JOINT = 2
 
 
 def methods(results: Results) -> Table:
-    """False collisions against what was promised, collisions latched, delay; a row a bundle and ignorant detector."""
+    """False collisions against what limits are set for, collisions latched, delay; a row a bundle and detector."""
     groups = [("", 1), ("false collisions in free motion", 4)]
     groups += [("collisions latched", 2), ("delay against\nthe sensor, ms", 2)]
-    columns = ["method", "count", "an hour,\n95 % interval", "promised\nan hour", "kept"]
+    columns = ["method", "count", "an hour,\n95 % interval", "set for\nan hour", "kept"]
     columns += ["of all", "of strong", "median", "95 %"]
     rows = [Row(method_cells(bundle), bundle.name, opens=True) for bundle in results.bundles]
     rows += [Row(sanity_cells(row), opens=k == 0) for k, row in enumerate(results.sanity)]
@@ -364,7 +364,7 @@ def method_cells(bundle: EvaluatedBundle) -> tuple[str, ...]:
     free, latched = bundle.free_motion, bundle.latched
     low, high = free.false_collisions_interval_per_hour or (None, None)
     cells = [bundle.label, whole(free.false_collisions, free_of(bundle)), interval(low, high)]
-    cells += [rate(free.promised_per_hour), kept(free)]
+    cells += [set_for(free), kept(free)]
     if latched is None or not latched.collisions:
         return (*cells, NONE, NONE, NONE, NONE)
     cells += [f"{latched.latched} of {latched.collisions}", f"{latched.strong_latched} of {latched.strong}"]
@@ -383,8 +383,14 @@ def sanity_cells(row: SanityRow) -> tuple[str, ...]:
     return (row.name, rate(row.false_per_hour) + "/h", in_alarm, "", "", found, "", "", "")
 
 
+def set_for(free: FreeMotion) -> str:
+    """Rate that limits are set for; of extrapolated limits also the upper end of its interval."""
+    most, words = free.at_most_per_hour, rate(free.promised_per_hour)
+    return words if most in (None, free.promised_per_hour) else f"{words}, at most {rate(most)}"
+
+
 def kept(free: FreeMotion) -> str:
-    """Whether the test is consistent with the promise; `far below` if the rate is much lower than promised."""
+    """Whether the test agrees with what limits are set for; `far below` if the rate is much lower."""
     if free.promise_kept is None:
         return NONE
     if not free.promise_kept:

@@ -31,7 +31,7 @@ from tauext.train.held_peaks import Peaks, collect_peaks
 from tauext.train.limits import LIMITS
 from tauext.train.paper_limits import LimitMotion
 from tauext.train.promised_limits import no_freeze
-from tauext.train.suspects import Suspect, find_suspects, suspect_sentences, unusual_sentence
+from tauext.train.suspects import Suspect, find_suspects, suspect_sentences
 from tauext_commission.budget import (
     RAISED,
     Promise,
@@ -234,8 +234,7 @@ def put_suspects(folder: CommissionFolder, found: Sequence[Suspect], bundle: str
         number -= 2
         added.append(Label(number, int(one.epoch or 0), *one.span, "suspect", "trainer", wall(), bundle))
         folder.append_label(added[-1])
-    words = suspect_sentences([one for one in found if one.is_evident], "answer `nothing`")
-    if words := [*words, *filter(None, [unusual_sentence([one for one in found if not one.is_evident])])]:
+    if words := suspect_sentences(found, "answer `nothing`"):
         folder.note("note", folder.seconds(), "; ".join(words), bundle=bundle)
     return added
 

@@ -92,8 +92,6 @@ def test_what_was_promised_is_compared_with_what_was_counted():
     extrapolated = {"promise": promise, "extrapolated": {"per_hour": 0.125, "between_per_hour": [0.02, 1.2]}}
     assert promised_per_hour(extrapolated) == 0.125 and at_most_per_hour({"promise": promise}) == 0.125
     assert at_most_per_hour(extrapolated) == 1.2
-    wide = {"promise": promise, "extrapolated": {"per_hour": 0.125, "between_per_hour": [0.0, 99.0], "factor": 0.9}}
-    assert [at_most_per_hour(wide | {"minutes_factor": one}) for one in (1.0, 1.4)] == [99.0, 6.0]
     # Garwood: three events in 10 h, 95 %: 0.062 to 0.877 an hour.
     counted = partial(FreeMotionErrors, 1, seconds=36000.0)
     found = counted(false_collisions=3).summary(0.125)

@@ -442,9 +442,8 @@ def proved_per_hour(limits: Mapping) -> float | None:
 def at_most_per_hour(limits: Mapping) -> float | None:
     """Largest rate of false alarms that agrees with what a bundle's limits state, [1/h]; None: they have no budget.
 
-    Extrapolated limits state an interval, of which this is the upper end, or the rate that the data prove if the limits
-    are no lower than those that prove it; others state a single rate. A test contradicts the statement if even this
-    rate makes so many false alarms implausible (`is_kept`).
+    Extrapolated limits state an interval, of which this is the upper end; others state a single rate. A test
+    contradicts the statement if even this rate makes so many false alarms implausible (`is_kept`).
 
     Args:
         limits: see promised_per_hour().
@@ -452,11 +451,7 @@ def at_most_per_hour(limits: Mapping) -> float | None:
     rate = promised_per_hour(limits)
     if rate is None or "extrapolated" not in limits:
         return rate
-    found, promise = limits["extrapolated"], limits.get("promise")
-    most = float(found["between_per_hour"][1])
-    if promise and found.get("factor", 0.0) * limits.get("minutes_factor", 1.0) >= 1:
-        most = min(most, float(promise["supported_budget"]["rate_per_hour"]))
-    return max(rate, most)
+    return max(rate, float(limits["extrapolated"]["between_per_hour"][1]))
 
 
 def duration(hours: float, rounding: Literal["nearest", "up", "down"] = "nearest") -> str:

@@ -152,6 +152,8 @@ def put_asked(bundle: Bundle, motion: LimitMotion, config: AskedConfig = AskedCo
             moment["limit_nm"] *= factor
             moment["without_nm"] *= factor
         low, high = worst.between(factor, config.interval)
+        if promised is not None and factor * facts.get("minutes_factor", 1.0) >= 1:
+            high = min(high, promised.promise.supported.rate_per_hour)  # the limits are no lower than those proved
         facts["extrapolated"] = {
             "per_hour": asked.rate_per_hour,
             "between_per_hour": [low, high],

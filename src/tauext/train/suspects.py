@@ -220,15 +220,6 @@ def _seconds(suspects: Sequence[Suspect]) -> float:
     return sum(1e-9 * (one.widened[1] - one.widened[0]) for one in suspects)
 
 
-def unusual_sentence(suspects: Sequence[Suspect]) -> str:
-    """A line about suspects without evidence of a touch; empty: there are none."""
-    if not suspects:
-        return ""
-    what = "a moment" if len(suspects) == 1 else f"{len(suspects)} moments"
-    verb = "is" if len(suspects) == 1 else "are"
-    return f"{what} with unusual errors of one joint, {_seconds(suspects):.1f} s in all, {verb} left out"
-
-
 def is_unreported(recording: Recording) -> bool:
     """Whether nobody reported the touches of a recording: it has no labels, or labels of alarms alone."""
     contact = recording.contact

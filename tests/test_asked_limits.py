@@ -60,8 +60,8 @@ def test_a_peak_that_the_budget_does_not_allow_is_never_exceeded_by_the_limits()
 
 def test_of_a_few_peaks_the_prior_decides_and_none_are_refused():
     worst = WorstErrors.of(np.array([2.0, 1.9, 1.8]), 0.01, STEADY)
-    # A tail of scale u/10 and shape 0.08 over the least of them: 3 peaks in 0.01 h, of 0.125 in an hour.
-    xi, u = 0.08, 1.8
+    # A tail of scale u/10 and shape 0.05 over the least of them: 3 peaks in 0.01 h, of 0.125 in an hour.
+    xi, u = 0.05, 1.8
     assert worst.level(0.125) == pytest.approx(u * (1 + 0.1 / xi * ((300 / 0.125) ** xi - 1)), rel=0.2)
     with pytest.raises(TrainingError, match="tau_ext is zero throughout"):
         WorstErrors.of(np.zeros(3), 0.01, STEADY)

@@ -38,11 +38,11 @@ class AskedConfig:
     """Share of the peaks that is the tail ..."""
     exceedances: tuple[int, int] = (5, 200)
     """... but at least and at most so many."""
-    shape: tuple[float, float] = (0.08, 0.08)
+    shape: tuple[float, float] = (0.05, 0.08)
     """Mean and standard deviation of the prior of the tail's shape."""
     scale: tuple[float, float] = (0.1, 0.4)
     """Median of the prior of its scale, as a share of the threshold, and the standard deviation of the logarithm."""
-    growth: float = 0.1
+    growth: float = 0.05
     """Median of ln g, the growth of errors by friction that minutes do not show, and ..."""
     growth_spread: float = 0.2
     """... its standard deviation; both fall as ..."""

@@ -16,6 +16,7 @@ from tauext.fit.prior import Inertia, fit_terms
 from tauext.train.asked_limits import AskedConfig, WorstErrors, budgets_sentence, posterior, put_asked
 from tauext.train.error_scale import HeldOut, collect_rows, fit_error_scale, with_unit_scale
 from tauext.train.held_peaks import Peaks
+from tauext.train.hits import noticed_pushes_n
 from tauext.train.other_programs import OtherProgramsConfig, programs, spread_rows, widen_for_other_programs
 from tauext.train.paper_limits import LimitMotion
 from tauext.train.promised_limits import put_promised
@@ -135,6 +136,17 @@ def test_calibration_that_proves_the_budget_sets_the_limits_alone():
     put_promised(proved, LimitMotion("made", alarm, 1, calibration=loaders))
     assert bundle.sliding_limit_nm == proved.sliding_limit_nm
     assert "extrapolated" not in facts and "supported by" in notes[0] and len(facts["budgets"]) == 3
+
+
+def test_the_median_push_is_that_of_a_lever_over_all_directions():
+    """At the elbow, 0.3 m from the shoulder, a newton in any direction exerts 0.3 u, u even in 0 to 1."""
+    _, _, _, bundle, _ = fitted(8.0)
+    bundle.sliding_limit_nm = [3.0, 1.0]
+    found = noticed_pushes_n(bundle, [[0.0, 0.0], [0.4, 1.0]])
+    assert set(found) == {"end of the arm", "link of shoulder, at elbow"}
+    assert list(found.values()) == pytest.approx(2 * [3.0 / 0.3 / 0.5], rel=0.02)  # of 100 directions
+    bundle.sliding_limit_nm = [np.inf, 1.0]
+    assert noticed_pushes_n(bundle, [[0.0, 0.0]]) == {}
 
 
 # --- The error scale in other programs.

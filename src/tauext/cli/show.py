@@ -323,9 +323,12 @@ def words_of_provenance(content: Content) -> dict[str, str]:
         for what, entries in checked.items():
             rows |= {f"{what.removesuffix('s')} in {recordings}: {of_joint(one)}": one["evidence"] for one in entries}
     limits = facts.get("limits", {})
+    if "extrapolated" in limits:
+        rows["largest error of free motion"] = f"{limits['extrapolated']['largest_seen']:.0%} of the limits"
+    else:
+        rows |= named(facts, ("limits are these times what was seen in training", "limits", "minutes_factor"))
     rows |= named(
         facts,
-        ("limits are these times what was seen in training", "limits", "minutes_factor"),
         ("share of the friction in the limits, since it changes", "limits", "friction_reserve"),
         ("error scale was found on [h]", "error_scale", "hours"),
     )

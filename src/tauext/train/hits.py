@@ -134,9 +134,11 @@ def noticed_pushes_n(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | No
     felt = hits_of_points(bundle, poses)
     if not felt:
         return {}
-    longest = sorted(range(len(felt)), key=lambda k: -float(np.linalg.norm(felt[k][0].point_m)))[:2]
-    limits, found = np.array(bundle.sliding_limit_nm), {}
-    for place, k in (("end of the arm", len(felt) - 1), (felt[max(longest)][0].name, max(longest))):
+    # The last point is the arm's end, which may lie as far from its joint as a link is long.
+    longest = sorted(range(len(felt) - 1), key=lambda k: -float(np.linalg.norm(felt[k][0].point_m)))[:2]
+    places = [("end of the arm", len(felt) - 1), *((felt[k][0].name, k) for k in longest if k == max(longest))]
+    limits, found = np.array(bundle.sliding_limit_nm), dict[str, float]()
+    for place, k in places:
         torques = np.abs(felt[k][1])
         torques = torques[torques.max(axis=1) > LEAST_LEVER_M]
         if len(torques) and np.isfinite(limits).any():

@@ -1,13 +1,14 @@
 """Methods of others that make no bundle: a network of the motor torque, and the stall rule of servo users.
 
-Each gives a score of every sample, the ratio to its own limit: `evaluate.missed_curve.equal_false_alarms` compares
-methods by their scores.
+Each gives the ratio of every joint to its limit, at every sample. `tauext evaluate --baselines --methods next
+stall-rule` compares them with labels at these limits, `evaluate.missed_curve.equal_false_alarms` at equal false alarms.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.signal import lfilter
@@ -16,7 +17,20 @@ from tauext.data.free_motion import free_pieces
 from tauext.data.recording import Recording
 from tauext.errors import TrainingError
 from tauext.fit.core_backend import Adam
+from tauext.progress import SILENT, Reporter
 from tauext.train.held_peaks import held_minimum
+
+
+class Rival(Protocol):
+    """A trained method: an alarm rises where the ratio of a joint to its limit exceeds 1."""
+
+    def ratio(self, recording: Recording) -> np.ndarray:
+        """Ratio of each joint to its limit, (samples, joints).
+
+        Raises:
+            TrainingError: the recording lacks a signal that the method needs.
+        """
+
 
 # --- NEXT [Oh2026]: the motor torque of free motion by two LSTM layers, trained on windows. In NumPy, since the core's
 # network has one layer and learns the momentum observer's residual.
@@ -170,9 +184,9 @@ class Next:
         smooth = lfilter([1 - kept], [1, -kept], error, axis=0)
         return np.repeat(smooth, every, axis=0)[: recording.samples]
 
-    def score(self, recording: Recording) -> np.ndarray:
-        """Largest ratio of a joint's |tau_ext| to its limit, (samples,)."""
-        return (np.abs(self.tau_ext(recording)) / self.limit_nm).max(axis=1)
+    def ratio(self, recording: Recording) -> np.ndarray:
+        """See Rival.ratio: |tau_ext| over its limit."""
+        return np.abs(self.tau_ext(recording)) / self.limit_nm
 
 
 def train_next(
@@ -281,12 +295,12 @@ class StallRule:
     rest_rad_s: float = 0.1
     samples: int = 5
 
-    def score(self, recording: Recording) -> np.ndarray:
-        """Factor on both thresholds below which a joint stalls, the largest over the joints: (samples,)."""
+    def ratio(self, recording: Recording) -> np.ndarray:
+        """See Rival.ratio: the factor on both thresholds below which a joint stalls."""
         ratio = np.minimum(drawn(recording) / self.current, np.abs(position_error(recording)) / self.error_rad)
         ratio[np.abs(recording.dq) > self.rest_rad_s] = 0.0
         length, healthy = np.full(recording.samples, self.samples - 1), np.ones(recording.samples, dtype=bool)
-        return np.nan_to_num(held_minimum(ratio, healthy, length)).max(axis=1)
+        return np.nan_to_num(held_minimum(ratio, healthy, length))
 
 
 def fit_stall_rule(recordings: Sequence[Recording]) -> StallRule:
@@ -304,3 +318,19 @@ def fit_stall_rule(recordings: Sequence[Recording]) -> StallRule:
 def drawn(recording: Recording) -> np.ndarray:
     """Magnitude of each motor's current, or of its torque where none is recorded, (samples, joints)."""
     return np.abs(recording.tau if recording.current is None else recording.current)
+
+
+# --- Methods by name, beside the bundles of `tauext evaluate --baselines`.
+
+
+def train_rivals(
+    names: Iterable[str], recordings: Sequence[Recording], seed: int, report: Reporter = SILENT
+) -> dict[str, Rival]:
+    """Train methods of RIVALS; one that the recordings do not allow is left out, and the reason is reported."""
+    made: dict[str, Rival] = {}
+    for name in names:
+        try:
+            made[name] = train_next(recordings, seed) if name == "next" else fit_stall_rule(recordings)
+        except TrainingError as error:
+            report.say(f"{name} is left out: {error}")
+    return made

@@ -5,8 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import beta
+from sliding_mass import observer_bundle, pushed
+from tauext_lab.evaluate.comparison import evaluate
+from tauext_lab.evaluate.config import RIVALS
 from tauext_lab.evaluate.missed_curve import Scored, equal_false_alarms
-from tauext_lab.rivals import NextConfig, NextNetwork, StallRule, fit_stall_rule, train_next
+from tauext_lab.evaluate.results import results_of, to_json
+from tauext_lab.report.tables import events_table
+from tauext_lab.rivals import NextConfig, NextNetwork, StallRule, fit_stall_rule, train_next, train_rivals
+from test_baselines import Listener
 
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError, TrainingError
@@ -65,41 +71,44 @@ def test_its_gradient_is_that_of_the_squared_error():
         assert gradient @ step == pytest.approx((change[0] - change[1]) / 2, rel=0.02, abs=2e-3)
 
 
-SMALL = NextConfig(hidden=16, head=16, history=10, batch=256, epochs=30, learning_rate=1e-2)
+SMALL = NextConfig(hidden=8, head=8, history=5, batch=64, epochs=12, learning_rate=1e-2)
+
+
+@pytest.fixture(scope="module")
+def trained():
+    """Two small networks, by whether they are given commanded positions."""
+    free = [recorded(0), recorded(1)]
+    return {given: train_next(free, 0, replace(SMALL, commanded=given)) for given in (True, False)}
 
 
 @pytest.mark.parametrize("commanded", [True, False])
-def test_its_estimate_is_small_in_free_motion_and_shows_a_torque_that_the_inputs_do_not(commanded):
-    config = replace(SMALL, commanded=commanded)
-    trained = train_next([recorded(0), recorded(1)], 0, config)
-    free = recorded(2, 10.0)
-    pushed = replace(free, tau=free.tau + np.where(free.time_s > 5, 1.0, 0.0)[:, None])
-    error, push = trained.tau_ext(free), trained.tau_ext(pushed) - trained.tau_ext(free)
-    assert np.sqrt(np.mean(error[50:] ** 2)) < 0.2 * np.sqrt(np.mean(free.tau**2))
+def test_its_estimate_is_small_in_free_motion_and_shows_a_torque_that_the_inputs_do_not(trained, commanded):
+    network, free = trained[commanded], recorded(2, 10.0)
+    sudden = replace(free, tau=free.tau + np.where(free.time_s > 5, 1.0, 0.0)[:, None])
+    error, push = network.tau_ext(free), network.tau_ext(sudden) - network.tau_ext(free)
+    assert np.sqrt(np.mean(error[50:] ** 2)) < 0.25 * np.sqrt(np.mean(free.tau**2))
     # A first-order low-pass of 20 1/s: 1 - exp(-20 t).
     np.testing.assert_allclose(push[free.time_s > 5][:5, 0], 1 - np.exp(-0.4 * np.arange(1, 6)), atol=1e-6)
-    assert (trained.score(recorded(0)) <= 1 + 1e-9).all() and (error[: config.history - 1] == 0).all()
+    assert (network.ratio(recorded(0)) <= 1 + 1e-9).all() and (error[: SMALL.history - 1] == 0).all()
 
 
-def test_a_push_that_the_position_error_shows_is_free_motion_to_it():
-    trained = train_next([recorded(0), recorded(1)], 0, SMALL)
-    blind = train_next([recorded(0), recorded(1)], 0, replace(SMALL, commanded=False))
+def test_it_explains_a_push_by_the_position_error_that_the_push_causes(trained):
     free = recorded(2, 10.0)
     push = np.where(free.time_s > 5, 0.5, 0.0)[:, None] * [1.0, 0.0]
     # A P controller lags behind by the torque that it gives.
-    pushed = replace(free, tau=free.tau + push, q_des=free.q_des + push / 20)
-    found = [one.tau_ext(pushed)[-100:, 0] - one.tau_ext(free)[-100:, 0] for one in (trained, blind)]
-    assert np.median(found[1]) == pytest.approx(0.5, abs=0.02)
-    assert np.median(found[0]) < 0.4
+    leaning = replace(free, tau=free.tau + push, q_des=free.q_des + push / 20)
+    found = {given: (one.tau_ext(leaning) - one.tau_ext(free))[-100:, 0] for given, one in trained.items()}
+    assert np.median(found[False]) == pytest.approx(0.5, abs=1e-3)
+    assert np.median(found[True]) < 0.4
 
 
 def test_faster_recordings_are_reduced_to_its_rate():
     slow = recorded(3, 6.0)
     fast = replace(slow, t_ns=slow.t_ns // 10, rate_hz=10.0 * RATE_HZ, q_des=slow.q_des, dq=slow.dq * 10)  # 500 Hz
-    trained = train_next([fast], 0, replace(SMALL, epochs=1))
-    estimate = trained.tau_ext(fast)
+    estimate = train_next([fast], 0, replace(SMALL, epochs=1)).tau_ext(fast)
     assert estimate.shape == fast.tau.shape
     np.testing.assert_array_equal(estimate[45:50], np.tile(estimate[45], (5, 1)))
+    assert (estimate[45] != estimate[50]).any()
 
 
 def test_recordings_without_commanded_positions_or_too_short_are_refused():
@@ -126,8 +135,8 @@ def stalled(recording: Recording, from_s: float) -> Recording:
 def test_the_stall_rule_finds_a_stall_after_its_samples_and_nothing_in_free_motion():
     rule = fit_stall_rule([recorded(0), recorded(1)])
     free = recorded(2)
-    assert (rule.score(free) < 1.05).all()
-    score = rule.score(stalled(free, 10.0))
+    assert (rule.ratio(free) < 1.05).all()
+    score = rule.ratio(stalled(free, 10.0)).max(axis=1)
     first = int(np.argmax(score > 1.05))
     assert free.time_s[first] == pytest.approx(10.0 + (rule.samples - 1) / RATE_HZ)
     assert (score[first:] > 3).all()
@@ -142,7 +151,36 @@ def test_the_stall_rule_needs_current_error_and_rest_together(missing):
         "error": replace(one, q_des=one.q + 0.1),
         "rest": replace(one, dq=np.full(one.q.shape, 0.2)),
     }[missing]
-    assert rule.score(one).max() > 2 and rule.score(changed).max() < 1
+    assert rule.ratio(one).max() > 2 and rule.ratio(changed).max() < 1
+
+
+# --- Beside bundles, compared with labels.
+
+
+def following(name: str, force: float) -> Recording:
+    """A mass whose drive gives the torque of its position error; it is pushed against a stop."""
+    one = pushed(name, force)
+    still = np.zeros_like(one.q)
+    return replace(one, q=still, dq=still, tau=one.tau_ext + 0.1, q_des=0.01 * (one.tau_ext + 0.1))
+
+
+def test_a_rival_is_compared_with_labels_beside_bundles(tmp_path):
+    rivals = train_rivals(["stall-rule"], [following("quiet", 0.0)], 0)
+    hit = following("hit", 10.0)
+    results = evaluate({"observer": observer_bundle()}, [lambda: hit], [], tmp_path, 0, 1, rivals=rivals)
+    (one,) = results.rivals
+    counts = one.events.all
+    assert (one.name, counts.events, counts.found, counts.false_alarms) == ("stall-rule", 1, 1, 0)
+    # It holds from its fifth sample on; a ratio of exactly 1 is none.
+    assert one.events.verdicts[0].delay_s == pytest.approx(0.004)
+    assert results_of(to_json(results), "results.json").rivals == results.rivals
+    assert "stall-rule" in [row.cells[0] for row in events_table(results).rows]
+
+
+def test_rivals_that_recordings_do_not_allow_are_left_out_with_the_reason():
+    listener = Listener()
+    assert train_rivals(RIVALS, [replace(recorded(), q_des=None)], 0, listener) == {}
+    assert [line.partition(":")[0] for line in listener.sentences] == ["next is left out", "stall-rule is left out"]
 
 
 # --- Equal false alarms.

@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 
 from common import arguments, head, table_row, tauext, trained, write_tables
 from tauext_lab.evaluate.missed_curve import Detected, Scored, equal_false_alarms, held_ratio
-from tauext_lab.rivals import Next, NextConfig, fit_stall_rule, train_next
+from tauext_lab.rivals import Next, NextConfig, Rival, fit_stall_rule, train_next
 from tauext_lerobot.guard import HOLD_S, GuardEvent, StallRule, load_guard, watch
 
 from tauext.bundle.bundle_file import load_bundle
@@ -317,11 +317,11 @@ def scores(out: Path, data: Path, seed: int, minutes: int) -> dict[str, Score]:
         made[f"prior by {source}"] = lambda one, b=bundle: held_ratio(estimate_recording(b, one), b.hold_s)
     training, most = recordings(folder, "train"), largest_current(folder)
     made["largest current in training"] = lambda one: (one.current / most).max(axis=1)
-    made["stall rule"] = fit_stall_rule(training).score
+    rivals: dict[str, Rival] = {"stall rule": fit_stall_rule(training)}
     for commanded in (True, False) if minutes else ():
         name = "NEXT" if commanded else "NEXT without goals"
-        made[name] = next_of(folder / f"{name.replace(' ', '-')}.pickle", training, commanded).score
-    return made
+        rivals[name] = next_of(folder / f"{name.replace(' ', '-')}.pickle", training, commanded)
+    return made | {name: lambda one, rival=rival: rival.ratio(one).max(axis=1) for name, rival in rivals.items()}
 
 
 def next_of(path: Path, training: Sequence[Recording], commanded: bool) -> Next:

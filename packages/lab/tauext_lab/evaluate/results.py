@@ -509,6 +509,14 @@ class OwnTorqueEvents:
     events: Events
 
 
+@dataclass(frozen=True)
+class RivalEvents:
+    """A method of others that makes no bundle, with limits at its largest values in training."""
+
+    name: str
+    events: Events
+
+
 # --- Links and kinds of collisions beside the labels.
 
 
@@ -645,6 +653,7 @@ class Results:
     """As read in the paper's order, whatever the order of evaluation; other names follow."""
     own_torque: OwnTorqueEvents | None
     sanity: tuple[SanityRow, ...]
+    rivals: tuple[RivalEvents, ...] = ()
 
     @property
     def ten(self) -> tuple[LabelledCollision, ...]:

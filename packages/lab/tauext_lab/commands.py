@@ -18,7 +18,7 @@ from tauext.errors import ConfigError
 from tauext.files.kind import why_no_bundle
 from tauext.files.preflight import expect_folder
 from tauext.recipes import baselines as known_baselines
-from tauext_lab.evaluate.config import RIVALS, EventsConfig
+from tauext_lab.evaluate.config import OTHER_METHODS, EventsConfig
 
 # --- The command as typed, for what it writes.
 
@@ -83,7 +83,7 @@ def simulate(
 
 METHODS = (
     f"methods of --baselines to train and compare; default all: {', '.join(known_baselines())}. Only where named: "
-    f"{', '.join(RIVALS)}, which need commanded positions and are compared with labels alone."
+    f"{', '.join(OTHER_METHODS)}, which need commanded positions and are compared with labels alone."
 )
 
 
@@ -135,17 +135,17 @@ def evaluate(
     if baselines:
         from tauext_lab.baselines import train_baselines
 
-        own, kinds = out / "bundles", [name for name in methods if name not in RIVALS] if methods else None
+        own, kinds = out / "bundles", [name for name in methods if name not in OTHER_METHODS] if methods else None
         trained = train_baselines(dataset, robot, case, own, seed, threads, kinds, (), Terminal(), accept)
         paths = [*trained.values(), *paths]
-    rivals = {}
-    if named := [name for name in methods if name in RIVALS]:
-        from tauext_lab.rivals import train_rivals
+    others = {}
+    if named := [name for name in methods if name in OTHER_METHODS]:
+        from tauext_lab.other_methods import train_other_methods
 
-        rivals = train_rivals(named, dataset.training(), seed, Terminal())
+        others = train_other_methods(named, dataset.training(), seed, Terminal())
     evaluate_bundles(
         dataset, by_names(paths), out, seed, threads, command_line(), keep_free_estimates=keep_free_estimates,
-        sanity=baselines, events=events, report=Terminal(), inject=inject, rivals=rivals,
+        sanity=baselines, events=events, report=Terminal(), inject=inject, others=others,
     )  # fmt: skip
     print(out / "results.json")
 

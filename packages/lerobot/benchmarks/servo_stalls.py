@@ -2,7 +2,7 @@
 
     python packages/lerobot/benchmarks/servo_stalls.py OUT [--data DIR] [--seeds N ...]   every step is a tauext command
     python packages/lerobot/benchmarks/servo_stalls.py OUT --guard    what `tauext guard` makes, beside thresholds
-    OPENBLAS_NUM_THREADS=1 python packages/lerobot/benchmarks/servo_stalls.py OUT --rivals    methods of others
+    OPENBLAS_NUM_THREADS=1 python packages/lerobot/benchmarks/servo_stalls.py OUT --others    methods of others
 
 DIR holds the 49 recordings of one SO-101 (github.com/isaac-sim2real/sage, Apache-2.0, joined to Parquet files). A joint
 drives against something four times in single_joint_wrist_roll. Five other motions with large, unexplained position
@@ -12,7 +12,7 @@ ten minutes, are for training. What is finished is not repeated.
 With --guard, joints are also blocked by calculation in the test motions: the position stops while the recorded goal
 goes on for up to 3 s, and the supply current follows from goal minus position as it does in these recordings at rest.
 
-With --rivals, recipe prior, the stall rule of servo users and NEXT are compared at equal measured false alarms.
+With --others, recipe prior, the stall rule of servo users and NEXT are compared at equal measured false alarms.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ import pyarrow.parquet as pq
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 
 from common import arguments, head, table_row, tauext, trained, write_tables
-from tauext_lab.evaluate.missed_curve import Detected, Scored, equal_false_alarms, held_ratio
-from tauext_lab.rivals import Next, NextConfig, Rival, fit_stall_rule, train_next
+from tauext_lab.evaluate.missed_curve import Detected, Scored, detected, equal_false_alarms, held_ratio
+from tauext_lab.other_methods import Next, NextConfig, OtherMethod, fit_stall_rule, train_next
 from tauext_lerobot.guard import HOLD_S, GuardEvent, StallRule, load_guard, watch
 
 from tauext.bundle.bundle_file import load_bundle
@@ -303,7 +303,8 @@ def guard_rows(out: Path, data: Path, seeds: Sequence[int]) -> list[str]:
 Score = Callable[[Recording], np.ndarray]
 WITHIN_S = 1.0
 """A stall rule waits until the joint rests."""
-RATES_PER_HOUR = (0.0, 2.0, 10.0)
+RATES_PER_HOUR = (None, 0.0, 10.0)
+"""Of false alarms, at most; None: with the method's own limits."""
 NEXT_CONFIG = NextConfig(batch=128, epochs=5)
 """Ten minutes at 50 Hz have too few steps of 2048 windows: so four times as many in a quarter of the time."""
 
@@ -317,11 +318,11 @@ def scores(out: Path, data: Path, seed: int, minutes: int) -> dict[str, Score]:
         made[f"prior by {source}"] = lambda one, b=bundle: held_ratio(estimate_recording(b, one), b.hold_s)
     training, most = recordings(folder, "train"), largest_current(folder)
     made["largest current in training"] = lambda one: (one.current / most).max(axis=1)
-    rivals: dict[str, Rival] = {"stall rule": fit_stall_rule(training)}
+    others: dict[str, OtherMethod] = {"stall rule": fit_stall_rule(training)}
     for commanded in (True, False) if minutes else ():
         name = "NEXT" if commanded else "NEXT without goals"
-        rivals[name] = next_of(folder / f"{name.replace(' ', '-')}.pickle", training, commanded)
-    return made | {name: lambda one, rival=rival: rival.ratio(one).max(axis=1) for name, rival in rivals.items()}
+        others[name] = next_of(folder / f"{name.replace(' ', '-')}.pickle", training, commanded)
+    return made | {name: lambda one, other=other: other.ratio(one).max(axis=1) for name, other in others.items()}
 
 
 def next_of(path: Path, training: Sequence[Recording], commanded: bool) -> Next:
@@ -341,10 +342,10 @@ def scored(recording: Recording, score: Score, spans_s: Sequence[tuple[float, fl
     return Scored(recording.t_ns, score(recording), is_free, [(begin, end) for begin, end, _ in spans.tolist()])
 
 
-def rival_rows(out: Path, data: Path, seeds: Sequence[int]) -> list[str]:
+def other_rows(out: Path, data: Path, seeds: Sequence[int]) -> list[str]:
     """The table: of stalls and of joints that are blocked by calculation, at several rates of false alarms."""
-    rows = head("training, min | method | false alarms an hour, at most | measured (95 %) | stalls found (95 %) "
-                "| delay, ms: median (most) | blocked joints found (95 %) | limits times")  # fmt: skip
+    rows = head("training, min | method | limits times | false alarms (95 %, an hour) | stalls found (95 %) "
+                "| delay, ms: median (most) | blocked joints found (95 %)")  # fmt: skip
     stalls = [(on - EARLY_S, on + WITHIN_S, off + AFTER_S) for on, off in ONSETS_S]
     for minutes in (0, 10):
         free: dict[str, list[Scored]] = {}
@@ -361,21 +362,20 @@ def rival_rows(out: Path, data: Path, seeds: Sequence[int]) -> list[str]:
                 )
         for name, recorded in free.items():
             for rate in RATES_PER_HOUR:
-                _, at = equal_false_alarms(recorded, rate)
-                delays = [delay for one in held[name] for delay in one.delays_s(at.factor)]
-                calculated = replace(at, delays_s=tuple(delays), contacts=len(held[name]))
+                at = detected(recorded) if rate is None else equal_false_alarms(recorded, rate)[1]
+                blocked_too = share(detected(held[name], at.factor))
                 low, high = at.false_per_hour
-                measured = f"{at.false} in {at.hours:.2f} h ({low:.2g} to {high:.2g})"
-                cells = measured, share(at), in_ms([d - EARLY_S for d in at.delays_s]), share(calculated)
-                rows.append(table_row(minutes or "all", name, f"{rate:g}", *cells, f"{at.factor:.2f}"))
+                false = f"{at.false} in {at.hours:.2f} h ({low:.2g} to {high:.2g})"
+                cells = false, share(at), in_ms([delay - EARLY_S for delay in at.delays_s]), blocked_too
+                rows.append(table_row(minutes or "all", name, f"{at.factor:.2f}", *cells))
                 print(rows[-1], flush=True)
     return rows
 
 
-def share(detected: Detected) -> str:
+def share(of: Detected) -> str:
     """Found contacts, and their share with its interval."""
-    low, high = detected.found_share
-    return f"{detected.found}/{detected.contacts} ({100 * low:.0f} to {100 * high:.0f} %)"
+    low, high = of.found_share
+    return f"{of.found}/{of.contacts} ({100 * low:.0f} to {100 * high:.0f} %)"
 
 
 def in_ms(delays_s: list[float]) -> str:
@@ -418,14 +418,14 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="of the splits, default: 0 1 2")
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument("--guard", action="store_true", help="the guard and the thresholds alone")
-    kind.add_argument("--rivals", action="store_true", help="methods of others, at equal measured false alarms")
+    kind.add_argument("--others", action="store_true", help="methods of others, at equal measured false alarms")
     options = parser.parse_args()
     out, data = options.out.resolve(), options.data.resolve()
     if not (data / f"{STALLS}.parquet").exists():
         sys.exit(f"{data}: holds no {STALLS}.parquet; --data names the folder of the recordings")
     rows, name = recipe_rows, "servo_stalls"
-    if options.guard or options.rivals:
-        rows, name = (guard_rows, "servo_guard") if options.guard else (rival_rows, "servo_rivals")
+    if options.guard or options.others:
+        rows, name = (guard_rows, "servo_guard") if options.guard else (other_rows, "servo_others")
     write_tables(out, rows(out, data, options.seeds), name=name)
 
 

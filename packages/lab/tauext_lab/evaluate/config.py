@@ -17,5 +17,5 @@ class EventsConfig(Settings):
     """Time before and after an event's label in which an alarm counts for the event, [s]."""
 
 
-RIVALS = ("next", "stall-rule")
-"""Methods of others without a bundle, by their names in `evaluate --methods`; tauext_lab.rivals trains them."""
+OTHER_METHODS = ("next", "stall-rule")
+"""Methods of others without a bundle, by their names in `evaluate --methods`; tauext_lab.other_methods trains them."""

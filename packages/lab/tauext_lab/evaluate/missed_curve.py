@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 
 import numpy as np
@@ -104,7 +104,7 @@ class Scored:
 
 @dataclass(frozen=True)
 class Detected:
-    """What a method detects with limits scaled by one factor, at most so many false alarms allowed."""
+    """What a method detects with limits scaled by one factor, and its false alarms."""
 
     factor: float
     false: int
@@ -130,11 +130,23 @@ class Detected:
         return float(interval[0]), float(interval[1])
 
 
+def detected(recordings: Sequence[Scored], factor: float = 1.0) -> Detected:
+    """What a method detects in these recordings with limits so many times as high."""
+    return Detected(
+        factor,
+        sum(one.false_alarms(factor) for one in recordings),
+        sum(one.hours for one in recordings),
+        tuple(delay for one in recordings for delay in one.delays_s(factor)),
+        sum(len(one.contacts) for one in recordings),
+    )
+
+
 def equal_false_alarms(recordings: Sequence[Scored], per_hour: float) -> tuple[tuple[Detected, ...], Detected]:
     """What a method detects for each number of false alarms that is allowed, from 0 on; and the last point.
 
-    The factor of a point is the lowest that raises no more false alarms in these recordings, nor does any higher one.
-    The last points of several methods on the same recordings compare them at equal measured false alarms.
+    The factor of a point is the lowest that raises no more false alarms in these recordings, nor does any higher one:
+    `false` is the largest number over these factors. The last points of several methods on the same recordings compare
+    them at equal measured false alarms.
 
     Args:
         per_hour: largest measured rate of false alarms, [1/h].
@@ -155,9 +167,5 @@ def equal_false_alarms(recordings: Sequence[Scored], per_hour: float) -> tuple[t
         if false > per_hour * hours:
             break
         lowest[false] = factor
-    contacts = sum(len(one.contacts) for one in recordings)
-    curve = tuple(
-        Detected(factor, false, hours, tuple(d for one in recordings for d in one.delays_s(factor)), contacts)
-        for false, factor in lowest.items()
-    )
+    curve = tuple(replace(detected(recordings, factor), false=false) for false, factor in lowest.items())
     return curve, curve[-1]

@@ -510,7 +510,7 @@ class OwnTorqueEvents:
 
 
 @dataclass(frozen=True)
-class RivalEvents:
+class OtherEvents:
     """A method of others that makes no bundle, with limits at its largest values in training."""
 
     name: str
@@ -653,7 +653,7 @@ class Results:
     """As read in the paper's order, whatever the order of evaluation; other names follow."""
     own_torque: OwnTorqueEvents | None
     sanity: tuple[SanityRow, ...]
-    rivals: tuple[RivalEvents, ...] = ()
+    others: tuple[OtherEvents, ...] = ()
 
     @property
     def ten(self) -> tuple[LabelledCollision, ...]:

@@ -412,7 +412,7 @@ def events_of(results: Results) -> list[tuple[str, str | None, Events]]:
     found: list[tuple[str, str | None, Events]] = [
         (one.label, one.name, one.events) for one in results.bundles if one.events
     ]
-    found += [(one.name, None, one.events) for one in results.rivals]
+    found += [(one.name, None, one.events) for one in results.others]
     found += [(OWN, None, results.own_torque.events)] if results.own_torque else []
     return found if any(events.all.events for *_, events in found) else []
 

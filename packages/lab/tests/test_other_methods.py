@@ -7,11 +7,11 @@ import pytest
 from scipy.stats import beta
 from sliding_mass import observer_bundle, pushed
 from tauext_lab.evaluate.comparison import evaluate
-from tauext_lab.evaluate.config import RIVALS
+from tauext_lab.evaluate.config import OTHER_METHODS
 from tauext_lab.evaluate.missed_curve import Scored, equal_false_alarms
 from tauext_lab.evaluate.results import results_of, to_json
+from tauext_lab.other_methods import NextConfig, NextNetwork, StallRule, fit_stall_rule, train_next, train_other_methods
 from tauext_lab.report.tables import events_table
-from tauext_lab.rivals import NextConfig, NextNetwork, StallRule, fit_stall_rule, train_next, train_rivals
 from test_baselines import Listener
 
 from tauext.data.recording import Recording
@@ -114,7 +114,7 @@ def test_faster_recordings_are_reduced_to_its_rate():
 def test_recordings_without_commanded_positions_or_too_short_are_refused():
     bare = replace(recorded(), q_des=None)
     for fit in (train_next, fit_stall_rule):
-        with pytest.raises(TrainingError, match=r"'made' has no commanded positions \(q_des\)"):
+        with pytest.raises(TrainingError, match="'made' has no commanded positions"):
             fit([bare])
     with pytest.raises(TrainingError, match="no recording holds a window of 50 samples"):
         train_next([recorded(seconds=0.9)])
@@ -165,21 +165,21 @@ def following(name: str, force: float) -> Recording:
 
 
 def test_a_rival_is_compared_with_labels_beside_bundles(tmp_path):
-    rivals = train_rivals(["stall-rule"], [following("quiet", 0.0)], 0)
+    others = train_other_methods(["stall-rule"], [following("quiet", 0.0)], 0)
     hit = following("hit", 10.0)
-    results = evaluate({"observer": observer_bundle()}, [lambda: hit], [], tmp_path, 0, 1, rivals=rivals)
-    (one,) = results.rivals
+    results = evaluate({"observer": observer_bundle()}, [lambda: hit], [], tmp_path, 0, 1, others=others)
+    (one,) = results.others
     counts = one.events.all
     assert (one.name, counts.events, counts.found, counts.false_alarms) == ("stall-rule", 1, 1, 0)
     # It holds from its fifth sample on; a ratio of exactly 1 is none.
     assert one.events.verdicts[0].delay_s == pytest.approx(0.004)
-    assert results_of(to_json(results), "results.json").rivals == results.rivals
+    assert results_of(to_json(results), "results.json").others == results.others
     assert "stall-rule" in [row.cells[0] for row in events_table(results).rows]
 
 
 def test_rivals_that_recordings_do_not_allow_are_left_out_with_the_reason():
     listener = Listener()
-    assert train_rivals(RIVALS, [replace(recorded(), q_des=None)], 0, listener) == {}
+    assert train_other_methods(OTHER_METHODS, [replace(recorded(), q_des=None)], 0, listener) == {}
     assert [line.partition(":")[0] for line in listener.sentences] == ["next is left out", "stall-rule is left out"]
 
 

@@ -1,7 +1,7 @@
 """Methods of others that make no bundle: a network of the motor torque, and the stall rule of servo users.
 
-Each gives the ratio of every joint to its limit, at every sample. `tauext evaluate --baselines --methods next
-stall-rule` compares them with labels at these limits, `evaluate.missed_curve.equal_false_alarms` at equal false alarms.
+Each gives the ratio of every joint to its limit, at every sample. `tauext evaluate --methods next stall-rule` compares
+them with labels at these limits, `evaluate.missed_curve.equal_false_alarms` at equal measured false alarms.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from tauext.progress import SILENT, Reporter
 from tauext.train.held_peaks import held_minimum
 
 
-class Rival(Protocol):
+class OtherMethod(Protocol):
     """A trained method: an alarm rises where the ratio of a joint to its limit exceeds 1."""
 
     def ratio(self, recording: Recording) -> np.ndarray:
@@ -185,7 +185,7 @@ class Next:
         return np.repeat(smooth, every, axis=0)[: recording.samples]
 
     def ratio(self, recording: Recording) -> np.ndarray:
-        """See Rival.ratio: |tau_ext| over its limit."""
+        """See OtherMethod.ratio: |tau_ext| over its limit."""
         return np.abs(self.tau_ext(recording)) / self.limit_nm
 
 
@@ -195,7 +195,7 @@ def train_next(
     config: NextConfig = NextConfig(),
     report: Callable[[str], None] = lambda line: None,
 ) -> Next:
-    """Train the network on the free motion of recordings.
+    """Train the network on the free motion of recordings, whose samples count as evenly spaced.
 
     Args:
         report: gets a line each epoch.
@@ -253,8 +253,8 @@ def position_error(recording: Recording) -> np.ndarray:
     """
     if recording.q_des is None:
         raise TrainingError(
-            f"recording '{recording.name}' has no commanded positions (q_des), which this method needs: name their "
-            "columns in [signals.q_des], or use q and dq alone (NextConfig(commanded=False))"
+            f"recording '{recording.name}' has no commanded positions, which this method needs: import it with "
+            "[signals.q_des] in arm.toml"
         )
     return recording.q_des - recording.q
 
@@ -296,7 +296,7 @@ class StallRule:
     samples: int = 5
 
     def ratio(self, recording: Recording) -> np.ndarray:
-        """See Rival.ratio: the factor on both thresholds below which a joint stalls."""
+        """See OtherMethod.ratio: the factor on both thresholds below which a joint stalls."""
         ratio = np.minimum(drawn(recording) / self.current, np.abs(position_error(recording)) / self.error_rad)
         ratio[np.abs(recording.dq) > self.rest_rad_s] = 0.0
         length, healthy = np.full(recording.samples, self.samples - 1), np.ones(recording.samples, dtype=bool)
@@ -323,14 +323,16 @@ def drawn(recording: Recording) -> np.ndarray:
 # --- Methods by name, beside the bundles of `tauext evaluate --baselines`.
 
 
-def train_rivals(
+def train_other_methods(
     names: Iterable[str], recordings: Sequence[Recording], seed: int, report: Reporter = SILENT
-) -> dict[str, Rival]:
-    """Train methods of RIVALS; one that the recordings do not allow is left out, and the reason is reported."""
-    made: dict[str, Rival] = {}
+) -> dict[str, OtherMethod]:
+    """Train methods of OTHER_METHODS; one that the recordings do not allow is left out, and the reason is reported."""
+    made: dict[str, OtherMethod] = {}
     for name in names:
         try:
-            made[name] = train_next(recordings, seed) if name == "next" else fit_stall_rule(recordings)
+            made[name] = (
+                train_next(recordings, seed, report=report.say) if name == "next" else fit_stall_rule(recordings)
+            )
         except TrainingError as error:
             report.say(f"{name} is left out: {error}")
     return made

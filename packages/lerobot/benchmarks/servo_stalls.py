@@ -318,7 +318,9 @@ def scores(out: Path, data: Path, seed: int, minutes: int) -> dict[str, Score]:
         made[f"prior by {source}"] = lambda one, b=bundle: held_ratio(estimate_recording(b, one), b.hold_s)
     training, most = recordings(folder, "train"), largest_current(folder)
     made["largest current in training"] = lambda one: (one.current / most).max(axis=1)
-    others: dict[str, OtherMethod] = {"stall rule": fit_stall_rule(training)}
+    rule = fit_stall_rule(training)
+    others: dict[str, OtherMethod] = {"stall rule": rule}
+    others["stall rule without position error"] = replace(rule, error_rad=np.full(len(JOINTS), 1e-9))
     for commanded in (True, False) if minutes else ():
         name = "NEXT" if commanded else "NEXT without goals"
         others[name] = next_of(folder / f"{name.replace(' ', '-')}.pickle", training, commanded)

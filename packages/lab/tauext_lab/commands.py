@@ -18,7 +18,7 @@ from tauext.errors import ConfigError
 from tauext.files.kind import why_no_bundle
 from tauext.files.preflight import expect_folder
 from tauext.recipes import baselines as known_baselines
-from tauext_lab.evaluate.config import EventsConfig
+from tauext_lab.evaluate.config import OTHER_METHODS, EventsConfig
 
 # --- The command as typed, for what it writes.
 
@@ -81,7 +81,10 @@ def simulate(
 # --- `tauext evaluate`: bundles on test free motion and on collisions.
 
 
-METHODS = f"methods of --baselines to train and compare; default all: {', '.join(known_baselines())}."
+METHODS = (
+    f"methods of --baselines to train and compare; default all: {', '.join(known_baselines())}. Only where named: "
+    f"{', '.join(OTHER_METHODS)}, which need commanded positions and are compared with labels alone."
+)
 
 
 def evaluate(
@@ -132,12 +135,17 @@ def evaluate(
     if baselines:
         from tauext_lab.baselines import train_baselines
 
-        own, kinds = out / "bundles", methods or None
+        own, kinds = out / "bundles", [name for name in methods if name not in OTHER_METHODS] if methods else None
         trained = train_baselines(dataset, robot, case, own, seed, threads, kinds, (), Terminal(), accept)
         paths = [*trained.values(), *paths]
+    others = {}
+    if named := [name for name in methods if name in OTHER_METHODS]:
+        from tauext_lab.other_methods import train_other_methods
+
+        others = train_other_methods(named, dataset.training(), seed, Terminal())
     evaluate_bundles(
         dataset, by_names(paths), out, seed, threads, command_line(), keep_free_estimates=keep_free_estimates,
-        sanity=baselines, events=events, report=Terminal(), inject=inject,
+        sanity=baselines, events=events, report=Terminal(), inject=inject, others=others,
     )  # fmt: skip
     print(out / "results.json")
 

@@ -2,6 +2,7 @@
 
     python packages/lerobot/benchmarks/servo_stalls.py OUT [--data DIR] [--seeds N ...]   every step is a tauext command
     python packages/lerobot/benchmarks/servo_stalls.py OUT --guard    what `tauext guard` makes, beside thresholds
+    OPENBLAS_NUM_THREADS=1 python packages/lerobot/benchmarks/servo_stalls.py OUT --others    methods of others
 
 DIR holds the 49 recordings of one SO-101 (github.com/isaac-sim2real/sage, Apache-2.0, joined to Parquet files). A joint
 drives against something four times in single_joint_wrist_roll. Five other motions with large, unexplained position
@@ -10,11 +11,14 @@ ten minutes, are for training. What is finished is not repeated.
 
 With --guard, joints are also blocked by calculation in the test motions: the position stops while the recorded goal
 goes on for up to 3 s, and the supply current follows from goal minus position as it does in these recordings at rest.
+
+With --others, recipe prior, the stall rule of servo users and NEXT are compared at equal measured false alarms.
 """
 
 from __future__ import annotations
 
 import json
+import pickle
 import random
 import sys
 from collections.abc import Callable, Sequence
@@ -27,12 +31,15 @@ import pyarrow.parquet as pq
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 
 from common import arguments, head, table_row, tauext, trained, write_tables
+from tauext_lab.evaluate.missed_curve import Detected, Scored, detected, equal_false_alarms, held_ratio
+from tauext_lab.other_methods import Next, NextConfig, OtherMethod, fit_stall_rule, train_next
 from tauext_lerobot.guard import HOLD_S, GuardEvent, StallRule, load_guard, watch
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.data.servo import servo_of, velocity_and_torque
+from tauext.monitor.estimate import estimate_recording
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 STALLS = "single_joint_wrist_roll"
@@ -290,6 +297,89 @@ def guard_rows(out: Path, data: Path, seeds: Sequence[int]) -> list[str]:
     return rows
 
 
+# --- Methods of others, at equal measured false alarms.
+
+
+Score = Callable[[Recording], np.ndarray]
+WITHIN_S = 1.0
+"""A stall rule waits until the joint rests."""
+RATES_PER_HOUR = (None, 0.0, 10.0)
+"""Of false alarms, at most; None: with the method's own limits."""
+NEXT_CONFIG = NextConfig(hidden=32, head=64, batch=128, epochs=5)
+"""A quarter of the published units, 41 s of a core. Of 2048 windows, ten minutes at 50 Hz have 15 steps an epoch."""
+
+
+def scores(out: Path, data: Path, seed: int, minutes: int) -> dict[str, Score]:
+    """Each method's score after training on one split."""
+    made: dict[str, Score] = {}
+    for source in SOURCES:
+        folder = prepare(out, data, Trial(seed, source, minutes))
+        bundle = load_bundle(trained(folder / "data", folder / "prior.tauext", "--accept", "limit-wide"))
+        made[f"prior by {source}"] = lambda one, b=bundle: held_ratio(estimate_recording(b, one), b.hold_s)
+    training, most = recordings(folder, "train"), largest_current(folder)
+    made["largest current in training"] = lambda one: (one.current / most).max(axis=1)
+    rule = fit_stall_rule(training)
+    others: dict[str, OtherMethod] = {"stall rule": rule}
+    others["stall rule without position error"] = replace(rule, error_rad=np.full(len(JOINTS), 1e-9))
+    for commanded in (True, False) if minutes else ():
+        name = "NEXT" if commanded else "NEXT without goals"
+        others[name] = next_of(folder / f"{name.replace(' ', '-')}.pickle", training, commanded)
+    return made | {name: lambda one, other=other: other.ratio(one).max(axis=1) for name, other in others.items()}
+
+
+def next_of(path: Path, training: Sequence[Recording], commanded: bool) -> Next:
+    """The trained network, kept in this file."""
+    if not path.exists():
+        made = train_next(training, config=replace(NEXT_CONFIG, commanded=commanded), report=print)
+        path.write_bytes(pickle.dumps(made))
+    return pickle.loads(path.read_bytes())
+
+
+def scored(recording: Recording, score: Score, spans_s: Sequence[tuple[float, float, float]], free: bool) -> Scored:
+    """A recording with contacts: begin, end of the time in which an alarm finds them, begin of free time."""
+    spans = np.searchsorted(recording.time_s, np.reshape(spans_s, (-1, 3)))
+    is_free = np.full(recording.samples, free)
+    for begin, _, over in spans.tolist():
+        is_free[begin:over] = False
+    return Scored(recording.t_ns, score(recording), is_free, [(begin, end) for begin, end, _ in spans.tolist()])
+
+
+def other_rows(out: Path, data: Path, seeds: Sequence[int]) -> list[str]:
+    """The table: of stalls and of joints that are blocked by calculation, at several rates of false alarms."""
+    rows = head("training, min | method | limits times | false alarms (95 %, an hour) | stalls found (95 %) "
+                "| delay, ms: median (most) | blocked joints found (95 %)")  # fmt: skip
+    stalls = [(on - EARLY_S, on + WITHIN_S, off + AFTER_S) for on, off in ONSETS_S]
+    for minutes in (0, 10):
+        free: dict[str, list[Scored]] = {}
+        held: dict[str, list[Scored]] = {}
+        for seed in seeds:
+            tested = [recordings(prepare(out, data, Trial(seed, source, minutes)), "collisions", "test")
+                      for source in SOURCES]  # fmt: skip
+            for name, score in scores(out, data, seed, minutes).items():
+                of = tested[SOURCES.index("goal") if name == "prior by goal" else -1]
+                blocks = [b for one in of[1:] for j in range(6) if (b := blocked(one, j))]
+                free.setdefault(name, []).extend(scored(one, score, stalls * (one is of[0]), True) for one in of)
+                held.setdefault(name, []).extend(
+                    scored(b.recording, score, [(b.from_s, b.to_s, b.to_s)], False) for b in blocks
+                )
+        for name, recorded in free.items():
+            for rate in RATES_PER_HOUR:
+                at = detected(recorded) if rate is None else equal_false_alarms(recorded, rate)[1]
+                blocked_too = share(detected(held[name], at.factor))
+                low, high = at.false_per_hour
+                false = f"{at.false} in {at.hours:.2f} h ({low:.2g} to {high:.2g})"
+                cells = false, share(at), in_ms([delay - EARLY_S for delay in at.delays_s]), blocked_too
+                rows.append(table_row(minutes or "all", name, f"{at.factor:.2f}", *cells))
+                print(rows[-1], flush=True)
+    return rows
+
+
+def share(of: Detected) -> str:
+    """Found contacts, and their share with its interval."""
+    low, high = of.found_share
+    return f"{of.found}/{of.contacts} ({100 * low:.0f} to {100 * high:.0f} %)"
+
+
 def in_ms(delays_s: list[float]) -> str:
     """Median and largest."""
     return f"{1000 * np.median(delays_s):.0f} ({1000 * max(delays_s):.0f})" if delays_s else "–"
@@ -328,12 +418,16 @@ def recipe_rows(out: Path, data: Path, seeds: Sequence[int]) -> list[str]:
 def main() -> None:
     parser = arguments(__doc__, "out", data="so101_sage")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="of the splits, default: 0 1 2")
-    parser.add_argument("--guard", action="store_true", help="the guard and the thresholds alone")
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--guard", action="store_true", help="the guard and the thresholds alone")
+    kind.add_argument("--others", action="store_true", help="methods of others, at equal measured false alarms")
     options = parser.parse_args()
     out, data = options.out.resolve(), options.data.resolve()
     if not (data / f"{STALLS}.parquet").exists():
         sys.exit(f"{data}: holds no {STALLS}.parquet; --data names the folder of the recordings")
-    rows, name = (guard_rows, "servo_guard") if options.guard else (recipe_rows, "servo_stalls")
+    rows, name = recipe_rows, "servo_stalls"
+    if options.guard or options.others:
+        rows, name = (guard_rows, "servo_guard") if options.guard else (other_rows, "servo_others")
     write_tables(out, rows(out, data, options.seeds), name=name)
 
 

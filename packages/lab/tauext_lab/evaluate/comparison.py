@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -39,7 +40,7 @@ from tauext_lab.evaluate.collisions import (
 )
 from tauext_lab.evaluate.config import EventsConfig
 from tauext_lab.evaluate.errors import ErrorAgainstSigma, sensor_reference
-from tauext_lab.evaluate.events import EventMeasures, Labels, OwnTorque, own_limits
+from tauext_lab.evaluate.events import EventMeasures, Labels, OtherMeasures, OwnTorque, own_limits
 from tauext_lab.evaluate.free_motion import (
     AfterContact,
     DuringContact,
@@ -51,6 +52,7 @@ from tauext_lab.evaluate.free_motion import (
 from tauext_lab.evaluate.injected import EVENTS, Injection
 from tauext_lab.evaluate.missed_curve import MissedCurve
 from tauext_lab.evaluate.results import CollisionVerdict, DetectedForces, EvaluatedBundle, Limits, Results
+from tauext_lab.other_methods import OtherMethod
 
 # --- All measurements of one bundle, collected recording by recording.
 
@@ -176,6 +178,7 @@ def evaluate(
     quiet: Sequence[Loader] = (),
     kept: Checkpoint | None = None,
     inject: bool = False,
+    others: Mapping[str, OtherMethod] = MappingProxyType({}),
 ) -> Results:
     """Evaluate every bundle; the results have no provenance.
 
@@ -196,9 +199,11 @@ def evaluate(
         quiet: recordings whose free time gives the limits of the robot's own tau_ext, where it has one.
         kept: checkpoint of a killed process; its estimates are on disk already.
         inject: add forces to free test motion, see `Injection`.
+        others: methods of others by their names, compared with labels.
 
     Raises:
         BundleError: a recording does not fit a bundle.
+        TrainingError: a recording lacks a signal that one of the other methods needs.
         ConfigError: no bundle or no recording, or keep_free_estimates < 0.
     """
     expect_work(bundles, test, collisions, keep_free_estimates)
@@ -209,7 +214,7 @@ def evaluate(
         own_nm = own_limits(load() for load in quiet)
         own = None if own_nm is None else OwnTorque(own_nm, events)
         injection = Injection(bundles, seed, math.ceil(EVENTS / max(1, len(test)))) if inject else None
-        comparison = Comparison(bundles, events, sanity_detectors(seed) if sanity else [], own, injection)
+        comparison = Comparison(bundles, events, sanity_detectors(seed) if sanity else [], own, injection, others)
     total = len(test) + len(collisions)
     with ThreadPoolExecutor(max(1, min(threads, len(bundles)))) as pool:
         for number, recording in enumerate(ahead([*test, *collisions][done:]), done):
@@ -232,10 +237,12 @@ class Comparison:
         ignorant: Sequence[Sanity],
         own: OwnTorque | None,
         injection: Injection | None = None,
+        others: Mapping[str, OtherMethod] = MappingProxyType({}),
     ):
         self._bundles, self._ignorant, self._own, self._injection = bundles, ignorant, own, injection
         self._events = events
         self._measures = {name: BundleMeasures(name, bundle, events) for name, bundle in bundles.items()}
+        self._others = [OtherMeasures(name, other, EventMeasures(events)) for name, other in others.items()]
         self._limits_held = {name: LimitsHeld() for name in bundles}
         self._touches: list[Collision] = []
 
@@ -261,6 +268,8 @@ class Comparison:
         labels = {speed: Labels(recording, self._events, speed) for speed in set(speeds)}
         if self._own is not None:
             self._own.add(labels[speeds[0]])
+        for other in self._others:
+            other.add(labels[speeds[0]])
         gains = set() if not found else {bundle.observer.gain_per_s for bundle in self._bundles.values()}
         references = {gain: sensor_reference(recording, gain) for gain in gains}
         hits = self._injection.draw(number, recording) if self._injection is not None and free else []
@@ -320,6 +329,7 @@ class Comparison:
             ),
             own_torque=None if self._own is None else self._own.summary(),
             sanity=tuple(detector.summary() for detector in self._ignorant),
+            others=tuple(other.summary() for other in self._others),
         )
 
     def _detected(self, name: str) -> DetectedForces:

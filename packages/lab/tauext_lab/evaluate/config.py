@@ -15,3 +15,7 @@ class EventsConfig(Settings):
     """Shortest labelled event that counts, [s]; shorter ones are neither an event nor free motion."""
     tolerance_s: Seconds = 0.1
     """Time before and after an event's label in which an alarm counts for the event, [s]."""
+
+
+OTHER_METHODS = ("next", "stall-rule")
+"""Methods of others without a bundle, by their names in `evaluate --methods`; tauext_lab.other_methods trains them."""

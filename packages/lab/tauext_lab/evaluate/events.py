@@ -13,7 +13,8 @@ from tauext.data.recording import Recording
 from tauext_lab.evaluate.collisions import Onsets, delay_quantiles
 from tauext_lab.evaluate.config import EventsConfig
 from tauext_lab.evaluate.free_motion import FALSE_ALARM_QUIET_S, beginnings, time_since_touch
-from tauext_lab.evaluate.results import EventCounts, Events, EventVerdict, FalseAlarm, OwnTorqueEvents
+from tauext_lab.evaluate.results import EventCounts, Events, EventVerdict, FalseAlarm, OtherEvents, OwnTorqueEvents
+from tauext_lab.other_methods import OtherMethod
 
 # --- Alarms against labelled events with uncertain edges: found, false, delays; moving and resting apart.
 
@@ -201,6 +202,24 @@ class OwnTorque:
     def summary(self) -> OwnTorqueEvents | None:
         """None if some recording with events has no tau_ext."""
         return OwnTorqueEvents(tuple(self.limit_nm.tolist()), self._measures.summary()) if self._complete else None
+
+
+@dataclass
+class OtherMeasures:
+    """Alarms of a method that makes no bundle."""
+
+    name: str
+    other: OtherMethod
+    measures: EventMeasures
+
+    def add(self, labels: Labels) -> None:
+        """Add one recording."""
+        ratio = self.other.ratio(labels.recording)
+        healthy = np.ones(labels.recording.samples, dtype=bool)
+        self.measures.add(labels, np.any(ratio > 1, axis=1), healthy, ratio, ratio)
+
+    def summary(self) -> OtherEvents:
+        return OtherEvents(self.name, self.measures.summary())
 
 
 def own_limits(recordings: Iterable[Recording]) -> np.ndarray | None:

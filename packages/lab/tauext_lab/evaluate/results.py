@@ -511,6 +511,14 @@ class OwnTorqueEvents:
     events: Events
 
 
+@dataclass(frozen=True)
+class OtherEvents:
+    """A method of others that makes no bundle, with limits at its largest values in training."""
+
+    name: str
+    events: Events
+
+
 # --- Links and kinds of collisions beside the labels.
 
 
@@ -647,6 +655,7 @@ class Results:
     """As read in the paper's order, whatever the order of evaluation; other names follow."""
     own_torque: OwnTorqueEvents | None
     sanity: tuple[SanityRow, ...]
+    others: tuple[OtherEvents, ...] = ()
 
     @property
     def ten(self) -> tuple[LabelledCollision, ...]:

@@ -9,6 +9,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from tauext._core import Bundle
@@ -27,6 +28,7 @@ from tauext_lab.evaluate.comparison import evaluate
 from tauext_lab.evaluate.config import EventsConfig
 from tauext_lab.evaluate.injected import FIRST_S, SLOT_S
 from tauext_lab.evaluate.results import EvaluatedBundle, Results, to_json
+from tauext_lab.other_methods import OtherMethod
 
 
 def why_nothing_injected(dataset: Dataset) -> str:
@@ -51,6 +53,7 @@ def evaluate_bundles(
     events: EventsConfig = EventsConfig(),  # noqa: B008
     report: Reporter = SILENT,
     inject: bool = False,
+    others: Mapping[str, OtherMethod] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """Write results.json, estimates, run.json and wall times for named bundles.
 
@@ -69,6 +72,7 @@ def evaluate_bundles(
         sanity: also evaluate detectors without information (always, never, random).
         events: how alarms are compared with labels.
         inject: add forces to free test motion and count the detected ones.
+        others: methods of others by the names that they have in the results, compared with labels.
 
     Raises:
         BundleError: a bundle cannot be read, or a recording does not fit it.
@@ -79,6 +83,7 @@ def evaluate_bundles(
         raise ConfigError(why_nothing_injected(dataset))
     loaded = {name: load_bundle(path) for name, path in bundles.items()}
     work = dict(seed=seed, keep_free_estimates=keep_free_estimates, sanity=sanity, events=asdict(events), inject=inject)
+    work |= {"others": sorted(others)} if others else {}
     kept = Checkpoint(out / "evaluate.half-done", work_key(dataset, loaded, work), loaded, "tauext_lab")
     histories = {name: read_loss_history(loaded[name], path) for name, path in bundles.items()}
     calibration = dataset.loaders("calibration") or dataset.loaders("validation") or dataset.loaders("train")
@@ -86,7 +91,7 @@ def evaluate_bundles(
         results = evaluate(
             loaded, dataset.loaders("test"), dataset.loaders("collisions"), out / "estimates", seed,
             threads or os.cpu_count() or 1, lambda what, done, total: show(done, total, "recordings"), histories,
-            keep_free_estimates, sanity, events, calibration, kept, inject,
+            keep_free_estimates, sanity, events, calibration, kept, inject, others,
         )  # fmt: skip
     if inject and not any(one.forces.added and one.forces.added.events for one in results.bundles):
         kept.end()

@@ -362,7 +362,7 @@ def render_page(results: Results, figures: dict[str, PageFigure], traces: PageTr
         method_errors=method_errors(results),
         sanity=results.sanity,
         events=tables.events_table(results),
-        labels=next((events for _, events in tables.events_of(results)), None),
+        labels=next((events for *_, events in tables.events_of(results)), None),
         table_one=tables.tables_one(results),
         regions=tables.regions(results),
         limits_move=results.some_limits_move,

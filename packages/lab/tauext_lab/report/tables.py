@@ -413,12 +413,14 @@ def rate(value: float | None) -> str:
 OWN = "the robot's own tau_ext"
 
 
-def events_of(results: Results) -> list[tuple[EvaluatedBundle | None, Events]]:
-    """Results of every bundle compared with labels and of the robot's own torque (without a bundle); none
-    without labels."""
-    found: list[tuple[EvaluatedBundle | None, Events]] = [(one, one.events) for one in results.bundles if one.events]
-    found += [(None, results.own_torque.events)] if results.own_torque else []
-    return found if any(events.all.events for _, events in found) else []
+def events_of(results: Results) -> list[tuple[str, str | None, Events]]:
+    """Label, bundle's name and results of every method compared with labels; none without labels."""
+    found: list[tuple[str, str | None, Events]] = [
+        (one.label, one.name, one.events) for one in results.bundles if one.events
+    ]
+    found += [(one.name, None, one.events) for one in results.others]
+    found += [(OWN, None, results.own_torque.events)] if results.own_torque else []
+    return found if any(events.all.events for *_, events in found) else []
 
 
 def events_table(results: Results) -> Table | None:
@@ -426,8 +428,7 @@ def events_table(results: Results) -> Table | None:
     groups = (("", 3), ("delay from label, ms", 2), ("delay from onset, ms", 2), ("alarms outside of events", 3))
     columns = ("method", "arm", "found", "median", "95 %", "median", "95 %", "count", "in", "an hour")
     rows = []
-    for bundle, events in events_of(results):
-        label, name = (bundle.label, bundle.name) if bundle else (OWN, None)
+    for label, name, events in events_of(results):
         for state in ("all", "moving", "resting"):
             counts: EventCounts = getattr(events, state)
             if state == "all" or counts.events or counts.free_hours:

@@ -43,6 +43,7 @@ from unseen.presses import (
     rig_presser,
     signals_of,
 )  # fmt: skip
+from unseen.simulation import PRESLIDING
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
@@ -66,8 +67,8 @@ STRENGTHS = {"impact": (1.0, 6.0), "slow push": (0.5, 3.0)}
 """Peak torque of a hit over the joint's Coulomb friction."""
 
 
-def presser_of(name: str, models: Path, out: Path) -> Presser:
-    """The arm of this name."""
+def presser_of(name: str, models: Path, out: Path, presliding: str = PRESLIDING[0]) -> Presser:
+    """The arm of this name; the rig has a model of its own of the friction at rest."""
     if name == "rig":
         return rig_presser(out / "rig")
     known = makers(models) | fresh_makers()
@@ -75,7 +76,7 @@ def presser_of(name: str, models: Path, out: Path) -> Presser:
         sys.exit(f"--arms {name}: must be rig or of {', '.join(known)}")
     if not known[name].model.is_file():
         sys.exit(f"{known[name].model}: there is no such file; MODELS is the folder of the arms' URDFs")
-    return current_presser(known[name])
+    return current_presser(known[name], presliding)
 
 
 # --- A bundle from free motion: twenty minutes to learn, hours for the limits.
@@ -376,11 +377,14 @@ def main() -> None:
         "--calibration", type=float, default=CALIBRATION_H, help="hours for the limits, default: %(default)s"
     )
     parser.add_argument("--hours", type=float, default=24, help="of presses without hits, default: %(default)s")
+    parser.add_argument(
+        "--presliding", choices=PRESLIDING, default=PRESLIDING[0], help="friction at rest, default: %(default)s"
+    )
     options = parser.parse_args()
     lines, false, forces = [], head(FALSE_COLUMNS), head(FORCE_COLUMNS)
     content = {}
     for name in options.arms:
-        presser, folder = presser_of(name, options.models, options.out), options.out / name
+        presser, folder = presser_of(name, options.models, options.out, options.presliding), options.out / name
         bundle = bundle_of(presser, folder, options.calibration)
         done = hits_of(presser, bundle, folder, options.sessions, options.seed)
         hours = hours_of(presser, bundle, folder, options.hours, options.seed)

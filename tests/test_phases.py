@@ -406,6 +406,29 @@ def test_the_spread_is_the_least_without_a_false_collision(arm, tool):
     assert added.spread >= 3.0 and added.injected
 
 
+def test_pushes_that_are_noticed_at_rest_pass_limit_and_friction(arm):
+    from tauext.train.declared_spread import STANDS_S, noticed_standing
+    from tauext.train.hits import even_ways
+
+    bundle, free = arm
+    own, hidden_nm = _core.Bundle.from_bytes(bundle.to_bytes()), np.array([3.0, 4.0, 2.0, 1.0, 0.5, 0.0])
+    prior = _core.PriorSettings()
+    prior.terms = [_core.Term(_core.TermKind.coulomb, j, speed=1e-3) for j in range(6)]
+    prior.weights = np.diag(hidden_nm).ravel().tolist()
+    own.prior = prior
+    q = free.q[::500]
+    found = noticed_standing(own, q.tolist())
+    felt = np.abs(np.einsum("pij,wi->pwj", jacobian(own, q), even_ways()))
+    k0, leaves = own.observer.gain_per_s, 1 / STANDS_S
+    t = np.linspace(0, 1, 100_001)
+    shown = (k0 / (k0 - leaves) * (np.exp(-leaves * t) - np.exp(-k0 * t))).max()  # of a step through observer and rest
+    for name, nm in (("slow_n", LIMITS_NM + hidden_nm), ("sudden_n", np.array(LIMITS_NM) / shown)):
+        assert found["places"][0][name] == pytest.approx(np.median(1 / (felt / nm).max(axis=2)), rel=1e-4)
+    assert "joint6" in found["places"][0]["at"] and "at joint4" in found["places"][1]["at"]
+    assert f"from {found['places'][1]['slow_n']:.0f} N at the link of joint3" in found["sentence"]
+    assert noticed_standing(own) == {}  # the bundle keeps no poses
+
+
 def test_hits_are_injected_while_the_tool_presses_too(arm):
     from tauext_lab.evaluate.injected import Injection
 

@@ -94,16 +94,20 @@ def sessions_in_air(presser: Presser, label: str, count: int) -> list[Callable]:
 
 
 def bundle_of(presser: Presser, folder: Path, hours: float = CALIBRATION_H) -> _core.Bundle:
-    """Trained on free motion; limits of one false alarm in 8 h, or of as few as the hours support."""
-    promised = folder / "promised.tauext"
-    if not promised.exists():
+    """Trained on free motion; limits of one false alarm in 8 h, or of as few as the hours support; 0: as trained."""
+    promised, free = folder / "promised.tauext", folder / "trained.tauext"
+    if not free.exists():
         folder.mkdir(parents=True, exist_ok=True)
         write_arm(presser.facts, presser.maker.model, folder)
         for load in sessions_in_air(presser, "train", 2):
             recording = replace(load(), provenance=provenance_of(presser.facts))
             save_recording(recording, folder / f"{recording.name}.parquet")
         save_split(Split(tuple(sorted(one.name for one in folder.glob("train-*.parquet"))), (), ()), folder)
-        bundle, started = load_bundle(trained(folder, folder / "trained.tauext")), time.monotonic()
+    bundle = load_bundle(trained(folder, free, "--accept", "torque-changes"))
+    if not hours:
+        return bundle
+    if not promised.exists():
+        started = time.monotonic()
         loaders = sessions_in_air(presser, "calibration", round(60 * hours / SESSION_MIN))
         motion = LimitMotion("promised", AlarmConfig(), 1, calibration=loaders, out=promised)
         limits = LIMITS["promised"](bundle, motion)
@@ -374,7 +378,10 @@ def main() -> None:
     parser = arguments(__doc__, "models", "out", arms=ARMS, seed=0)
     parser.add_argument("--sessions", type=int, default=6, help="of ten minutes with hits, default: %(default)s")
     parser.add_argument(
-        "--calibration", type=float, default=CALIBRATION_H, help="hours for the limits, default: %(default)s"
+        "--calibration",
+        type=float,
+        default=CALIBRATION_H,
+        help="hours for the limits, 0: those of training, default: %(default)s",
     )
     parser.add_argument("--hours", type=float, default=24, help="of presses without hits, default: %(default)s")
     parser.add_argument(

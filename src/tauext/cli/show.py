@@ -339,6 +339,7 @@ def words_of_provenance(content: Content) -> dict[str, str]:
             f"{moment['region'].replace('_', ' ')}, without it {moment['without_nm']:.3g} {units[moment['joint']]}"
         )
     rows |= named(facts, ("limits promise", "limits", "sentence"))
+    rows |= named(facts, ("during declared contacts", "standing", "sentence"))
     rows |= named(limits, ("in other motion", "other_motion", "sentence"), ("by other signals", "signals", "sentence"))
     if "set_for" in limits:
         rows["limits were set for"] = f"{limits['set_for']}, hold time {limits['hold_s'] * 1e3:g} ms"

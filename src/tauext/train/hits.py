@@ -80,6 +80,16 @@ def kept_poses(bundle: _core.Bundle) -> np.ndarray:
     return q
 
 
+def torques(bundle: _core.Bundle, q: np.ndarray, point: Point, ways: int = 100) -> np.ndarray:
+    """Torques of a newton in so many directions at a point, in 16 of these poses, (poses, ways, joints), [N m].
+
+    A joint whose estimates are not in N m has none.
+    """
+    model, few = _core.WrenchModel(bundle), q[:: max(1, len(q) // 16)].tolist()
+    lever = np.array([model.columns(point.frame, one, list(point.point_m))[:3].T for one in few])
+    return (lever @ even_ways(ways).T).transpose(0, 2, 1) * np.array(bundle.in_newtons)
+
+
 def hits(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | None) -> np.ndarray:
     """Torques of a newton in any direction at the end of each link, in usual poses, (hits, joints), [N m].
 
@@ -95,12 +105,8 @@ def hits(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | None) -> np.nd
     q = kept_poses(bundle) if poses is None else np.asarray(poses, dtype=float)
     if not len(q):
         return alone
-    ways, known = even_ways(), np.array(bundle.in_newtons)
-    few = q[:: max(1, len(q) // 16)].tolist()
-    felt = []
-    for point in points(bundle):
-        lever = np.array([model.columns(point.frame, q, list(point.point_m))[:3].T for q in few])
-        felt.append((lever @ ways.T).transpose(0, 2, 1).reshape(-1, bundle.joints) * known)
+    known = np.array(bundle.in_newtons)
+    felt = [torques(bundle, q, point).reshape(-1, bundle.joints) for point in points(bundle)]
     found = np.concatenate(felt)
     found = found[np.abs(found).max(axis=1) > 1e-3]  # no joint feels a force with a lever below a millimetre
     return np.concatenate([found, np.repeat(alone[~known], len(felt[0]), axis=0)]) if len(found) else alone

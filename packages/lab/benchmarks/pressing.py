@@ -276,7 +276,11 @@ def hours_of(presser: Presser, bundle: _core.Bundle, folder: Path, hours: float,
         def make(drawn: list = drawn) -> list[dict]:
             rows = []
             for session, noise in drawn:
-                signals = signals_of(presser, session, True, noise)
+                try:
+                    signals = signals_of(presser, session, True, noise)
+                except RuntimeError as error:
+                    print(presser.maker.name, "session left out:", error, flush=True)
+                    continue
                 rows.append(judged(presser, session, signals, watched(bundle, presser, session, signals, "declared")))
             return rows
 

@@ -81,6 +81,7 @@ def test_one_recording_is_enough_and_the_run_file_says_how_it_was_used(tmp_path,
     assert any("each fifth of the motion" in note for note in facts["notes"])
     assert facts["limits"]["minutes_factor"] > 1 and facts["error_scale"]["hours"] > 0
     assert facts["limits"]["other_motion"] == NOT_MEASURED and NOT_MEASURED["sentence"] in facts["notes"]
+    assert facts["standing"]["sentence"] in facts["notes"] and len(facts["standing"]["places"]) == 2
     other = motion(seed=7)
     said = _core.estimate(bundle, *other.signals, 1)
     healthy = said["health"] == 1

@@ -406,6 +406,58 @@ def test_the_spread_is_the_least_without_a_false_collision(arm, tool):
     assert added.spread >= 3.0 and added.injected
 
 
+def rubbing(bundle: _core.Bundle, friction_nm: np.ndarray) -> _core.Bundle:
+    """The bundle with Coulomb friction of these joints, which counts in motion alone."""
+    own, prior = _core.Bundle.from_bytes(bundle.to_bytes()), _core.PriorSettings()
+    prior.terms = [_core.Term(_core.TermKind.coulomb, j, speed=1e-3) for j in range(6)]
+    prior.weights = np.diag(friction_nm).ravel().tolist()
+    own.prior = prior
+    return own
+
+
+def test_the_rest_of_an_arm_that_stands_equals_a_slow_twin(arm, tool):
+    """A pull on the tool, which the declared push does not explain: the joints may hide it within their friction."""
+    bundle, free = arm
+    friction_nm = np.array([3.0, 4.0, 2.0, 1.0, 0.5, 0.0])
+    still = replace(free, q=np.repeat(free.q[:1], SAMPLES, axis=0), dq=np.zeros_like(free.dq))
+    still = replace(still, tau=drive_torque(_core.Tree(bundle.links, bundle.gravity), still.q, still.dq))
+    found = run(
+        rubbing(bundle, friction_nm), pressed(still, np.repeat(tool[:1], SAMPLES, 0), -12.0, 1500, 4500), declared()
+    )
+    rest, expected = np.zeros(6), np.zeros((SAMPLES, 6))
+    follows, judged = 1 - np.exp(-1e-3 / 0.7), np.isfinite(found["tau_ext"]).all(axis=1)
+    for k in np.flatnonzero(judged)[1:]:
+        torque = found["tau_ext"][k]
+        left = torque - np.clip(torque, np.minimum(rest, 0), np.maximum(rest, 0))
+        step = follows * (torque - rest)
+        if (np.abs(left) > 0.5 * found["limit_nm"][k - 1]).any():  # of the sample before
+            step = np.clip(step, -0.2e-3 * friction_nm, 0.2e-3 * friction_nm)
+        rest = np.clip(rest + step, -friction_nm, friction_nm) if k >= 500 else rest
+        expected[k] = np.clip(torque, np.minimum(rest, 0), np.maximum(rest, 0))
+    assert (np.abs(found["tau_ext"][3000]) > 0.5 * found["limit_nm"][3000]).any() and np.abs(expected).max() > 0.5
+    np.testing.assert_allclose(found["declared_nm"][judged], expected[judged], atol=1e-6)
+
+
+def test_pushes_that_are_noticed_at_rest_pass_limit_and_friction(arm):
+    from tauext.train.declared_spread import STANDS_S, noticed_standing
+    from tauext.train.hits import even_ways
+
+    bundle, free = arm
+    hidden_nm = np.array([3.0, 4.0, 2.0, 1.0, 0.5, 0.0])
+    own = rubbing(bundle, hidden_nm)
+    q = free.q[::500]
+    found = noticed_standing(own, q.tolist())
+    felt = np.abs(np.einsum("pij,wi->pwj", jacobian(own, q), even_ways()))
+    k0, leaves = own.observer.gain_per_s, 1 / STANDS_S
+    t = np.linspace(0, 1, 100_001)
+    shown = (k0 / (k0 - leaves) * (np.exp(-leaves * t) - np.exp(-k0 * t))).max()  # of a step through observer and rest
+    for name, nm in (("slow_n", LIMITS_NM + hidden_nm), ("sudden_n", np.array(LIMITS_NM) / shown)):
+        assert found["places"][0][name] == pytest.approx(np.median(1 / (felt / nm).max(axis=2)), rel=1e-4)
+    assert "joint6" in found["places"][0]["at"] and "at joint4" in found["places"][1]["at"]
+    assert f"from {found['places'][1]['slow_n']:.0f} N at the link of joint3" in found["sentence"]
+    assert noticed_standing(own) == {}  # the bundle keeps no poses
+
+
 def test_hits_are_injected_while_the_tool_presses_too(arm):
     from tauext_lab.evaluate.injected import Injection
 

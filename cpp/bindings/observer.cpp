@@ -6,6 +6,7 @@
 #include "arrays.hpp"
 #include "chain/motion.hpp"
 #include "fit/regressors.hpp"
+#include "prior/prior.hpp"
 #include "stages/observation.hpp"
 #include "stages/estimates.hpp"
 
@@ -90,7 +91,9 @@ void bind_prior_settings(nb::module_& m) {
       .def_rw("weights", &PriorSettings::weights)
       .def_rw("corrected_links", &PriorSettings::corrected_links)
       .def_rw("most_load_nm", &PriorSettings::most_load_nm)
-      .def_rw("temperature", &PriorSettings::temperature);
+      .def_rw("temperature", &PriorSettings::temperature)
+      .def("friction_at_rest_nm", [](const PriorSettings& p, int joint) { return friction_line(p, static_cast<std::size_t>(joint)).at_rest_nm; },
+           nb::arg("joint"), "Friction that a joint may hide at rest, [N m]: the friction line at speed 0.");
 }
 
 void bind_observation(nb::module_& m) {

@@ -367,6 +367,42 @@ void time_box_and_travel_end_it() {
   CHECK(a.e.declared == Declared::within);
 }
 
+// While the arm stands in a contact, what a joint hides becomes the standing rest, up to its friction, even where no force is
+// seen: with the rest's time constant up to half a limit, and by a share of the friction in a second beyond. A joint that slides
+// hides nothing, nor does one that rests while another moves.
+void a_joint_that_stands_hides_its_friction() {
+  Bundle bundle = Watch::limited(7, 0.5);
+  const double friction = 2, half_limit = 0.25, per_s = DeclaredContacts::kFrees * friction;
+  const double slow_from = std::max(half_limit, per_s * DeclaredContacts::kStandsS);  // left, above which the bound counts
+  bundle.prior.terms = {{TermKind::coulomb, 2, 0, 0, 0, 0.001}};
+  bundle.prior.weights = {0, 0, friction, 0, 0, 0, 0};
+  const DeclaredContact line = press(30, 0);
+  const auto step = [&](Alone& a, double nm) { a.step(kPose, 6, line.point, {0, 0, 0}, {0, 0, 0}, 2, nm); };
+  Alone probe(7, bundle);
+  CHECK(probe.contacts.start(line, kAlways_s) == 0);
+  step(probe, 1);
+  const double sign = probe.e.declared_nm[2] == 0 ? 1 : -1;  // the line explains no torque of this sign
+  for (const std::uint32_t resting : {0x7fu, 0x7bu, 0x6fu})  // all joints; all but the third; all but the fifth
+    for (const double hidden : {0.2, 1.6, 5.0}) {
+      Alone a(7, bundle);
+      a.e.near_stiction = resting;
+      std::fill_n(a.e.limit_nm.begin(), 7, 2 * half_limit);
+      CHECK(a.contacts.start(line, kAlways_s) == 0);
+      for (int k = 0; k < 600; ++k) step(a, 0);
+      for (int k = 1; k <= 6000; ++k) {
+        step(a, sign * hidden);
+        const double left = sign * a.left(2);
+        if (resting != 0x7fu) CHECK_CLOSE(left, hidden, 1e-9);
+        else if (hidden < half_limit) CHECK_CLOSE(left, hidden * std::exp(-1e-3 * k / DeclaredContacts::kStandsS), 1e-6);
+        else if (hidden - 1e-3 * k * per_s > slow_from || hidden - friction > slow_from)
+          CHECK_CLOSE(left, hidden - std::min(1e-3 * k * per_s, friction), 1e-6);
+        else CHECK(left < slow_from + 1e-6);
+      }
+      step(a, 0);  // it is gone at once
+      CHECK_CLOSE(a.left(2), 0, 1e-9);
+    }
+}
+
 void bad_contacts_are_refused() {
   Watch w;
   const Monitor& m = w.monitor;
@@ -583,6 +619,7 @@ int main() {
   a_constant_force_is_explained_in_motion();
   a_joint_has_a_contact_of_its_own();
   time_box_and_travel_end_it();
+  a_joint_that_stands_hides_its_friction();
   bad_contacts_are_refused();
   a_contact_admits_less_than_the_drives_can_exert();
   what_is_hidden_is_stated();

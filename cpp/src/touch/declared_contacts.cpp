@@ -416,26 +416,28 @@ void DeclaredContacts::stand(const Observed& observed, const ContactErrors& erro
   s.released = pressed ? 1.0 : (1 - share) * s.released;
   // The part of a torque that the standing rest explains: all of it between 0 and b, since a joint that slides loses its rest.
   const auto of_rest = [&s](double torque, int j) noexcept { return std::clamp(torque, std::min(s.standing_nm[j], 0.0), std::max(s.standing_nm[j], 0.0)); };
-  bool frozen = false;
+  bool frozen = false, moves = s.fitted < 0 || observed.restarted;
   for (int j = 0; j < joints_; ++j) {
     const double torque = e.tau_ext[j] - e.load_nm[j] - e.declared_nm[j];
     frozen = frozen || std::fabs(torque - of_rest(torque, j)) > kFrozen * e.limit_nm[j];  // of the sample before
+    moves = moves || !(e.near_stiction >> j & 1);
   }
+  if (moves) s.moved_ns = observed.t_ns;
+  const bool stands = elapsed_s(observed.t_ns, s.moved_ns) >= Limits::kSlidS;
   for (int j = 0; j < joints_; ++j) {
     const std::uint32_t bit = std::uint32_t{1} << j;
     const bool rests = e.near_stiction & bit;
     if (rests) s.rested_ns[j] = observed.t_ns;
-    if (pressed && rests) s.rests |= bit;
+    if (rests && (pressed || stands)) s.rests |= bit;  // standing, also by a force that is too small to be seen
     else if (elapsed_s(observed.t_ns, s.rested_ns[j]) >= Limits::kSlidS) s.rests &= ~bit;
     const double explained = e.declared_nm[j], change = std::fabs(explained - s.slow_nm[j]);
     s.slow_nm[j] += share * (explained - s.slow_nm[j]);
     const double of_torque = std::sqrt(errors.brought(j, false, explained));
     const double friction = rests && (s.rests & bit) ? friction_nm_[j] : 0.0;
     s.most_nm[j] = std::max(spread_ * of_torque + friction, kept * s.most_nm[j]);  // r follows no faster
-    const double most = s.most_nm[j];
-    const double torque = e.tau_ext[j] - e.load_nm[j] - explained;
-    if (!frozen) s.standing_nm[j] += share * (torque - s.standing_nm[j]);
-    s.standing_nm[j] = std::clamp(s.standing_nm[j], -most, most);
+    const double most = s.most_nm[j], torque = e.tau_ext[j] - e.load_nm[j] - explained;
+    const double step = share * (torque - s.standing_nm[j]), frees = stands ? kFrees * dt * friction : 0.0;
+    s.standing_nm[j] = std::clamp(s.standing_nm[j] + (frozen ? std::clamp(step, -frees, frees) : step), -most, most);
     e.declared_nm[j] += of_rest(torque, j);
     const double of_change = spread_ * std::sqrt(errors.brought(j, false, change)), of_slide = kSlides * of_torque;
     const double of_friction = std::min(friction, pressed ? change : std::max(change, s.released * friction));

@@ -31,11 +31,14 @@ class TorqueSpan;
 //
 //   |b_j| <= k (of_torque_j |explained_j|), and beyond that the joint's friction at rest while it rests since a press.
 //
-// Torques between 0 and b are explained, since a joint that slides loses its rest. b stops where the unexplained torque exceeds
-// kFrozen of a limit. Limits rise, in squares, by kSlides standard errors of the
-// share, which changes as the arm moves, and by what b cannot follow while the force changes: k of_torque_j |d_j|, and for a resting
-// joint |d_j|, at most its friction, all of which a released force may leave. d_j = explained_j - its low-pass of kStandsS; k is
-// Limits::declared_spread. No torque that is left raises a limit.
+// Torques between 0 and b are explained, since a joint that slides loses its rest. Where the unexplained torque exceeds kFrozen of
+// a limit, it may be a hit, and b stops. An arm that stands in a contact is the exception: its joints take up any part of the force
+// within their friction, and a force that varies a little changes this part within seconds, even one too small to be seen. There
+// b goes on, by kFrees of the friction in a second: a push that grows more slowly is noticed from limit and friction on.
+//
+// Limits rise, in squares, by kSlides standard errors of the share, which changes as the arm moves, and by what b cannot follow
+// while the force changes: k of_torque_j |d_j|, and for a resting joint |d_j|, at most its friction, all of which a released
+// force may leave. d_j = explained_j - its low-pass of kStandsS; k is Limits::declared_spread. No torque that is left raises a limit.
 //
 // A joint before the frame that does not answer in N m is explained completely, since its share of the force is unknown.
 // Of several contacts at frames the one declared last that is in effect counts. Contacts of joints count
@@ -46,6 +49,7 @@ class DeclaredContacts {
   static constexpr double kStandsS = 0.7;  // time constant of the standing rest, [s]
   static constexpr double kSlides = 1.5;   // standard errors by which the share changes as the arm moves
   static constexpr double kFrozen = 0.5;   // of a limit: beyond it the rest may be a hit, and is not taken for a standing one
+  static constexpr double kFrees = 0.2;    // of a joint's friction in a second: how fast a varying force changes what it takes up
   static constexpr int kPoses = 4;                  // in which it is judged what the drives can exert
   static constexpr double kStructure = 0.01;        // of the strongest lever: a direction with less is held by the structure
   static constexpr double kBeyondTraining = 10;     // times its torque in training: what an unknown drive may give
@@ -116,6 +120,7 @@ class DeclaredContacts {
     std::uint32_t rests = 0;
     std::array<std::int64_t, kMaxJoints> rested_ns{};
     std::int64_t stood_ns = 0;
+    std::int64_t moved_ns = 0;        // when a joint moved, or no contact was in effect
     std::array<double, 3> at_m{};     // last position of the point
     double travel_m = 0;                  // since the force began
   };

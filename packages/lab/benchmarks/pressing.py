@@ -43,6 +43,7 @@ from unseen.presses import (
     rig_presser,
     signals_of,
 )  # fmt: skip
+from unseen.simulation import PRESLIDING
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
@@ -66,8 +67,8 @@ STRENGTHS = {"impact": (1.0, 6.0), "slow push": (0.5, 3.0)}
 """Peak torque of a hit over the joint's Coulomb friction."""
 
 
-def presser_of(name: str, models: Path, out: Path) -> Presser:
-    """The arm of this name."""
+def presser_of(name: str, models: Path, out: Path, presliding: str = PRESLIDING[0]) -> Presser:
+    """The arm of this name; the rig has a model of its own of the friction at rest."""
     if name == "rig":
         return rig_presser(out / "rig")
     known = makers(models) | fresh_makers()
@@ -75,7 +76,7 @@ def presser_of(name: str, models: Path, out: Path) -> Presser:
         sys.exit(f"--arms {name}: must be rig or of {', '.join(known)}")
     if not known[name].model.is_file():
         sys.exit(f"{known[name].model}: there is no such file; MODELS is the folder of the arms' URDFs")
-    return current_presser(known[name])
+    return current_presser(known[name], presliding)
 
 
 # --- A bundle from free motion: twenty minutes to learn, hours for the limits.
@@ -93,16 +94,20 @@ def sessions_in_air(presser: Presser, label: str, count: int) -> list[Callable]:
 
 
 def bundle_of(presser: Presser, folder: Path, hours: float = CALIBRATION_H) -> _core.Bundle:
-    """Trained on free motion; limits of one false alarm in 8 h, or of as few as the hours support."""
-    promised = folder / "promised.tauext"
-    if not promised.exists():
+    """Trained on free motion; limits of one false alarm in 8 h, or of as few as the hours support; 0: as trained."""
+    promised, free = folder / "promised.tauext", folder / "trained.tauext"
+    if not free.exists():
         folder.mkdir(parents=True, exist_ok=True)
         write_arm(presser.facts, presser.maker.model, folder)
         for load in sessions_in_air(presser, "train", 2):
             recording = replace(load(), provenance=provenance_of(presser.facts))
             save_recording(recording, folder / f"{recording.name}.parquet")
         save_split(Split(tuple(sorted(one.name for one in folder.glob("train-*.parquet"))), (), ()), folder)
-        bundle, started = load_bundle(trained(folder, folder / "trained.tauext")), time.monotonic()
+    bundle = load_bundle(trained(folder, free, "--accept", "torque-changes"))
+    if not hours:
+        return bundle
+    if not promised.exists():
+        started = time.monotonic()
         loaders = sessions_in_air(presser, "calibration", round(60 * hours / SESSION_MIN))
         motion = LimitMotion("promised", AlarmConfig(), 1, calibration=loaders, out=promised)
         limits = LIMITS["promised"](bundle, motion)
@@ -271,7 +276,11 @@ def hours_of(presser: Presser, bundle: _core.Bundle, folder: Path, hours: float,
         def make(drawn: list = drawn) -> list[dict]:
             rows = []
             for session, noise in drawn:
-                signals = signals_of(presser, session, True, noise)
+                try:
+                    signals = signals_of(presser, session, True, noise)
+                except RuntimeError as error:
+                    print(presser.maker.name, "session left out:", error, flush=True)
+                    continue
                 rows.append(judged(presser, session, signals, watched(bundle, presser, session, signals, "declared")))
             return rows
 
@@ -373,14 +382,20 @@ def main() -> None:
     parser = arguments(__doc__, "models", "out", arms=ARMS, seed=0)
     parser.add_argument("--sessions", type=int, default=6, help="of ten minutes with hits, default: %(default)s")
     parser.add_argument(
-        "--calibration", type=float, default=CALIBRATION_H, help="hours for the limits, default: %(default)s"
+        "--calibration",
+        type=float,
+        default=CALIBRATION_H,
+        help="hours for the limits, 0: those of training, default: %(default)s",
     )
     parser.add_argument("--hours", type=float, default=24, help="of presses without hits, default: %(default)s")
+    parser.add_argument(
+        "--presliding", choices=PRESLIDING, default=PRESLIDING[0], help="friction at rest, default: %(default)s"
+    )
     options = parser.parse_args()
     lines, false, forces = [], head(FALSE_COLUMNS), head(FORCE_COLUMNS)
     content = {}
     for name in options.arms:
-        presser, folder = presser_of(name, options.models, options.out), options.out / name
+        presser, folder = presser_of(name, options.models, options.out, options.presliding), options.out / name
         bundle = bundle_of(presser, folder, options.calibration)
         done = hits_of(presser, bundle, folder, options.sessions, options.seed)
         hours = hours_of(presser, bundle, folder, options.hours, options.seed)

@@ -18,13 +18,20 @@ from unseen.arms import JITTER_SHARE, arm_of, fresh_makers, makers, true_arm
 from unseen.recordings import nearest, truth_of
 from unseen.simulation import (
     ACCELERATIONS_RAD_S2,
+    NUMBER,
+    POINTER,
+    PRESLIDING,
     RATE_HZ,
     STOP_S,
+    WHOLE,
     Contact,
     Pressing,
+    address,
     build,
+    compiled,
     draw_contacts,
     draw_motion,
+    joint_table,
     label,
     simulate,
 )
@@ -87,6 +94,63 @@ def test_a_surface_presses_on_the_tool_and_resists_its_sliding():
     # the power that the surface takes is the joints' power
     dq = np.diff(run.q, axis=0)[at - 1]
     np.testing.assert_allclose((run.tau_ext[at] * dq).sum(axis=1), (force * moved).sum(axis=1), atol=2e-5)
+
+
+COULOMB_NM, STATIC, STRIBECK_RAD_S, BENT_RAD = 4.0, 1.25, 0.02, 5e-4
+STEADY_NM = STATIC * COULOMB_NM
+STEP_S = 1e-4
+
+
+def friction_of(presliding, x, dt=STEP_S):
+    """Friction of a joint along these positions from 0, [N m]: no viscous part, ripple or bristle damping."""
+    arm, one = true_arm(SEVEN, np.random.default_rng(0)), np.ones(1)
+    plain = {"viscous_nm_s_rad": 0 * one, "ripple_nm": 0 * one, "asymmetry": 0 * one, "load_share": 0 * one}
+    plain |= {"coulomb_nm": COULOMB_NM * one, "static_share": STATIC * one, "stribeck_rad_s": STRIBECK_RAD_S * one}
+    plain |= {"warm_drop": one, "ripple_cycles": one, "ripple_phase_rad": one, "presliding_rad": BENT_RAD * one}
+    table = joint_table(replace(arm, **plain, presliding=presliding), 0 * one, one, [1.0])
+    speed, out = np.diff(x, prepend=0.0) / dt, np.empty(len(x))
+    arguments = (POINTER, POINTER, NUMBER, WHOLE, POINTER)
+    compiled("arm_steps", arguments, None, "friction_steps")(
+        address(np.ascontiguousarray(table[:, 0])), address(speed), dt, len(x), address(out)
+    )
+    return out
+
+
+@pytest.mark.parametrize("presliding", PRESLIDING)
+@pytest.mark.parametrize("speed", [-1.0, -0.01, 0.001, 0.02, 0.5])
+def test_friction_in_steady_sliding_is_the_stribeck_curve(presliding, speed):
+    x = speed * STEP_S * np.arange(1, 1 + round(0.02 / abs(speed) / STEP_S))
+    curve = COULOMB_NM * (1 + (STATIC - 1) * np.exp(-((speed / STRIBECK_RAD_S) ** 2)))
+    assert friction_of(presliding, x)[-1] == pytest.approx(np.sign(speed) * curve, rel=1e-9)
+
+
+def wave(middle, amplitude, cycles, steps=2000):
+    """Positions, from the middle on, at so slow a speed that friction is the static one."""
+    return middle + amplitude * np.sin(2 * np.pi * np.arange(1, 1 + cycles * steps) / steps)
+
+
+@pytest.mark.parametrize("presliding", PRESLIDING)
+def test_a_small_displacement_is_that_of_a_spring_and_vibration_straightens_lugre_s_alone(presliding):
+    small = 0.2 * BENT_RAD
+    spring = friction_of(presliding, np.linspace(0, small, 1001), dt=1.0)
+    bends = 1 - np.exp(-small / BENT_RAD) if presliding == "lugre" else small / BENT_RAD
+    assert spring[-1] == pytest.approx(STEADY_NM * bends, rel=1e-6)
+    # The load that keeps the middle of a vibration in place: LuGre's falls by exp(-4 a / BENT_RAD) a cycle, so that the
+    # joint would drift under a load that stays.
+    cycles, amplitude = 20, 0.02 * BENT_RAD
+    there = np.append(np.linspace(0, small, 1001), wave(small, amplitude, cycles))
+    after = friction_of(presliding, there, dt=1.0)[-1]
+    kept = np.exp(-4 * cycles * amplitude / BENT_RAD) if presliding == "lugre" else 1.0
+    assert after == pytest.approx(kept * spring[-1], rel=0.02 if presliding == "lugre" else 1e-6)
+
+
+def test_the_loop_of_maxwell_slip_has_the_area_of_its_slips():
+    amplitude, steps, elements = 1.2 * BENT_RAD, 20_000, np.arange(1, 7)
+    x = wave(0.0, amplitude, 2, steps)
+    force = friction_of("maxwell-slip", x, dt=1.0)
+    area = np.sum((force[1:] + force[:-1])[-steps:] / 2 * np.diff(x)[-steps:])
+    slip_from = elements * np.sum(1 / elements) / 6 * BENT_RAD
+    assert area == pytest.approx(np.sum(4 * STEADY_NM / 6 * np.maximum(amplitude - slip_from, 0)), rel=1e-3)
 
 
 def test_the_drive_follows_and_friction_opposes_the_motion(pushed):

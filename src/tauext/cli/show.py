@@ -346,6 +346,7 @@ def words_of_provenance(content: Content) -> dict[str, str]:
         pushes = ", ".join(f"{push:.3g} N at the {place}" for place, push in one["push_n"].items())
         share = f"limits {one['share_of_limits']:.0%} as high"
         rows[f"limits for {one['text']}"] = f"notice {pushes} ({share})" if pushes else share
+    rows |= named(facts, ("during declared contacts", "standing", "sentence"))
     rows |= named(limits, ("in other motion", "other_motion", "sentence"), ("by other signals", "signals", "sentence"))
     if "set_for" in limits:
         rows["limits were set for"] = f"{limits['set_for']}, hold time {limits['hold_s'] * 1e3:g} ms"

@@ -22,7 +22,7 @@ from tauext.errors import ConfigError
 from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import provenance
 from tauext.progress import SILENT, Reporter, WallTimes
-from tauext.train.declared_spread import Contacts, SpreadFound, put_spread, with_tool_forces
+from tauext.train.declared_spread import Contacts, SpreadFound, noticed_standing, put_spread, with_tool_forces
 from tauext.train.error_scale import collect_rows, fit_error_scale
 from tauext.train.limits import LIMITS, no_calibration, put_limit_findings, refuse_limits, worse_promise
 from tauext.train.paper_limits import LimitMotion, Loaders
@@ -82,6 +82,9 @@ def recalibrate(
         limits["replaces"] = compared
     if not _core.WrenchModel(loaded).refused:
         facts["declared_spread"] = put_injected_spread(loaded, loaders, threads, report)
+    if found := noticed_standing(loaded):
+        facts["standing"] = found
+        report.say(found["sentence"])
     settings: dict = {"bundle": bundle.name, "dataset": dataset.folder.resolve().name, "alarm": asdict(alarm)}
     if refit_error_scale:
         settings["refit_error_scale"] = True

@@ -1,7 +1,8 @@
 """Limits during declared contacts: by how much what a contact explains may be wrong.
 
 What is explained is wrong by a share of it: `declared_spread` of the bundle is how many standard errors of that share
-are admitted, by a rest that stands and by limits that rise while the force changes.
+are admitted, by a rest that stands and by limits that rise while the force changes. A joint that rests meanwhile may
+hide its friction, too; noticed_standing() is what is then noticed.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from tauext.bundle.estimates import COLLISION
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.fit.tail import duration, upper_rate
+from tauext.train.hits import kept_poses, points, torques
 from tauext.train.wrench import outermost
 
 Contacts = Sequence[tuple[_core.DeclaredContact, int, float]]
@@ -181,3 +183,45 @@ def with_tool_forces(
         found = pressed(bundle, recording, np.random.default_rng([0, number, 65]))
         if found is not None:
             yield found[0], [(found[1], int(recording.t_ns[0]), math.inf)]
+
+
+# --- What is noticed while the tool presses and the arm stands.
+
+
+STANDS_S = 0.7
+"""Time constant with which the core follows what a resting joint hides: DeclaredContacts::kStandsS, [s]."""
+
+
+def noticed_standing(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | None = None) -> dict:
+    """Facts of pushes that are noticed at rest during a declared contact; empty where no forces can be estimated.
+
+    A push that rises slowly is noticed on a resting joint from its limit and the friction that it may hide, a sudden
+    one from its limit and what is followed meanwhile. Each is the median over directions and poses, beside what the
+    contact itself explains.
+
+    Args:
+        poses: (poses, joints); None: those that the bundle keeps.
+    """
+    if _core.WrenchModel(bundle).refused:
+        return {}
+    q = kept_poses(bundle) if poses is None else np.asarray(poses, dtype=float)
+    if not len(q):
+        return {}
+    limit_nm = np.maximum(bundle.near_stiction_limit_nm, 1e-9)
+    hidden_nm = np.array([bundle.prior.friction_at_rest_nm(j) for j in range(bundle.joints)])
+    faster = max(bundle.observer.gain_per_s * STANDS_S, 1.001)
+    left = faster ** (-1 / (faster - 1))  # most of a step that the observer shows before it is followed
+    ends, facts = points(bundle), []
+    for point in (ends[-1], ends[(len(ends) - 1) // 2]):  # the tool and, of usual arms, the forearm
+        felt = np.abs(torques(bundle, q, point))
+        with np.errstate(divide="ignore"):
+            slow_n, sudden_n = (
+                float(np.median(1 / (felt / nm).max(axis=2))) for nm in (limit_nm + hidden_nm, limit_nm / left)
+            )
+        facts.append({"at": point.name, "slow_n": slow_n, "sudden_n": min(sudden_n, slow_n)})
+    words = ", ".join(f"from {one['slow_n']:.0f} N at the {one['at']} ({one['sudden_n']:.0f} N)" for one in facts)
+    return {
+        "places": facts,
+        "sentence": "standing in a declared contact, where a resting joint may hide its friction, pushes are noticed "
+        f"{words}; in brackets sudden ones",
+    }

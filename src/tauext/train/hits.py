@@ -80,6 +80,16 @@ def kept_poses(bundle: _core.Bundle) -> np.ndarray:
     return q
 
 
+def torques(bundle: _core.Bundle, q: np.ndarray, point: Point, ways: int = 100) -> np.ndarray:
+    """Torques of a newton in so many directions at a point, in 16 of these poses, (poses, ways, joints), [N m].
+
+    A joint whose estimates are not in N m has none.
+    """
+    model, few = _core.WrenchModel(bundle), q[:: max(1, len(q) // 16)].tolist()
+    lever = np.array([model.columns(point.frame, one, list(point.point_m))[:3].T for one in few])
+    return (lever @ even_ways(ways).T).transpose(0, 2, 1) * np.array(bundle.in_newtons)
+
+
 def hits(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | None) -> np.ndarray:
     """Torques of a newton in any direction at the end of each link, in usual poses, (hits, joints), [N m].
 
@@ -109,17 +119,10 @@ def hits_of_points(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | None
     Args:
         poses: see hits.
     """
-    model = _core.WrenchModel(bundle)
     q = kept_poses(bundle) if poses is None else np.asarray(poses, dtype=float)
-    if model.refused or not len(q):
+    if _core.WrenchModel(bundle).refused or not len(q):
         return []
-    ways, known = even_ways(), np.array(bundle.in_newtons)
-    few = q[:: max(1, len(q) // 16)].tolist()
-    found = []
-    for point in points(bundle):
-        lever = np.array([model.columns(point.frame, q, list(point.point_m))[:3].T for q in few])
-        found.append((point, (lever @ ways.T).transpose(0, 2, 1).reshape(-1, bundle.joints) * known))
-    return found
+    return [(point, torques(bundle, q, point).reshape(-1, bundle.joints)) for point in points(bundle)]
 
 
 def noticed_pushes_n(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | None) -> dict[str, float]:
@@ -139,11 +142,11 @@ def noticed_pushes_n(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | No
     places = [("end of the arm", len(felt) - 1), *((felt[k][0].name, k) for k in longest if k == max(longest))]
     limits, found = np.array(bundle.sliding_limit_nm), dict[str, float]()
     for place, k in places:
-        torques = np.abs(felt[k][1])
-        torques = torques[torques.max(axis=1) > LEAST_LEVER_M]
-        if len(torques) and np.isfinite(limits).any():
+        torques_nm = np.abs(felt[k][1])
+        torques_nm = torques_nm[torques_nm.max(axis=1) > LEAST_LEVER_M]
+        if len(torques_nm) and np.isfinite(limits).any():
             with np.errstate(divide="ignore"):
-                push_n = float(np.median((limits / torques).min(axis=1)))
+                push_n = float(np.median((limits / torques_nm).min(axis=1)))
             if np.isfinite(push_n):
                 found[place] = push_n
     return found

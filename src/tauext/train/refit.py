@@ -29,6 +29,7 @@ from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import provenance
 from tauext.fit.tail import FalseAlarmBudget, Promise, duration, is_kept
 from tauext.progress import SILENT, Reporter, WallTimes
+from tauext.train.declared_spread import noticed_standing
 from tauext.train.held_peaks import REGIONS, peak_indices
 
 LEAST_MOVED_S = 10.0
@@ -315,6 +316,8 @@ def refit_bundle(
     made_by |= {"rejected": asdict(rejected.summary())} if words else {}
     facts = json.loads(loaded.provenance or "{}")
     facts |= {"checks": facts.get("checks", {}) | checked, "refitted": made_by}
+    if "standing" in facts:
+        facts["standing"] = noticed_standing(refitted.bundle, facts.get("wrench", {}).get("poses", []))
     refitted.bundle.name = out.stem
     history = read_loss_history(loaded, bundle) or []
     write_bundle(refitted.bundle, out, facts, history, WallTimes({"refit": time.monotonic() - started}))

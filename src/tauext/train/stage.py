@@ -28,6 +28,7 @@ from tauext.progress import SILENT, Reporter, WallTimes
 from tauext.robot.mesh_files import MeshFolders, expect_meshes
 from tauext.robot.model_case import chosen_case
 from tauext.train.data_check import check_data
+from tauext.train.declared_spread import noticed_standing
 from tauext.train.error_scale import collect_rows, scale_of
 from tauext.train.fitting import (
     CHECKPOINT,
@@ -350,6 +351,9 @@ def complete(run: TrainingRun, bundle: Bundle, setup: Setup, fit: PriorFit | Non
         run.notes.extend(run.constants.sentences(run.joints))
     run.say("finding the limits")
     put_limits(run, bundle, setup, fit)  # last: replays motion through the bundle, and caches peaks by its content
+    if found := noticed_standing(bundle, run.facts.get("wrench", {}).get("poses", [])):
+        run.facts["standing"] = found
+        run.notes.append(found["sentence"])
 
 
 # --- The bundle's file, with its run file and wall time beside it.

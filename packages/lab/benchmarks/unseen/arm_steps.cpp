@@ -9,7 +9,7 @@ namespace {
 
 // Rows of the table of joints: simulation.py's joint_table, in its order.
 enum { kInertia, kMost, kCoulomb, kAsymmetry, kStaticShare, kStribeck, kStiffness, kDamping, kViscous, kLoadShare,
-       kWarmDrop, kRipple, kCycles, kPhase, kIntegral };
+       kWarmDrop, kRipple, kCycles, kPhase, kIntegral, kModel };
 // Values of a contact: simulation.py's contact_row.
 enum { kFrom, kTo, kFirst, kBody, kPoint, kDirection = kPoint + 3, kPeak = kDirection + 3, kRise, kInLink, kContactValues };
 
@@ -20,6 +20,12 @@ constexpr double kViscousBend = 2;  // rad/s
 enum { kNormal, kGrip, kAt, kPressValues = kAt + 3 };
 constexpr double kSlips = 0.002;  // m/s, from which friction at the tool is that of sliding
 
+// Models of the friction at rest: simulation.py's PRESLIDING, in its order.
+enum { kLuGre, kElastoPlastic, kMaxwellSlip };
+constexpr double kElastic = 0.7;  // share of the steady bend up to which elasto-plastic bristles do not slip
+constexpr int kElements = 6;      // of Maxwell slip, of equal force; the k-th slips at k times the bend of the first
+constexpr double kHarmonic = 1 + 1 / 2.0 + 1 / 3.0 + 1 / 4.0 + 1 / 5.0 + 1 / 6.0;
+
 double sign(double x) { return (x > 0) - (x < 0); }
 
 // A half sine without a rise; else a ramp at both ends.
@@ -29,7 +35,49 @@ double force(const double* contact, double time_s) {
   return contact[kPeak] * std::min({1.0, (time_s - contact[kFrom]) / contact[kRise], (contact[kTo] - time_s) / contact[kRise]});
 }
 
+// What the mean bend of a joint's bristles changes by over a step of constant speed v. g: their torque in sliding at |v|. z: the
+// elements of Maxwell slip.
+double moved(int model, double mean, double* z, double v, double dt, double stiffness, double g) {
+  const double steady = g * sign(v) / stiffness, rate = stiffness * std::fabs(v) * dt / g;
+  if (model == kMaxwellSlip) {
+    double bent = 0;
+    for (int k = 1; k <= kElements; ++k) {
+      const double most = k * kHarmonic / kElements * g / stiffness;
+      z[k - 1] = std::clamp(z[k - 1] + v * dt, -most, most);
+      bent += z[k - 1] / (k * kHarmonic);
+    }
+    return bent - mean;
+  }
+  double slips = 1;
+  if (model == kElastoPlastic) {
+    const double share = v == 0 ? 0 : mean / steady;
+    slips = share <= kElastic ? 0 : share >= 1 ? 1 : 0.5 + 0.5 * std::sin(M_PI * (share - (1 + kElastic) / 2) / (1 - kElastic));
+  }
+  if (slips == 1) return (steady - mean) * -std::expm1(-rate);
+  const double most = std::max(std::fabs(steady), std::fabs(mean));
+  return std::clamp(mean + (slips > 0 ? (steady / slips - mean) * -std::expm1(-slips * rate) : v * dt), -most, most) - mean;
+}
+
+// Friction of a joint of the table over a step of constant speed. mean, z: see moved(). load_nm: through the gear.
+template <typename Of>
+double friction_nm(const Of& of, double& mean, double* z, double q, double v, double load_nm, double warm, double dt) {
+  const double sliding = warm * of(kCoulomb) * (1 + of(kAsymmetry) * sign(v)) + of(kLoadShare) * load_nm, slow = v / of(kStribeck);
+  const double g = sliding * (1 + (of(kStaticShare) - 1) * std::exp(-slow * slow));
+  const double change = moved(static_cast<int>(of(kModel)), mean, z, v, dt, of(kStiffness), g);
+  mean += change;
+  const double bent = v / kViscousBend, viscous = warm * of(kViscous) * v / std::sqrt(1 + bent * bent);
+  const double ripple = of(kRipple) * std::sin(of(kCycles) * q + of(kPhase));
+  return of(kStiffness) * mean + of(kDamping) * change / dt + viscous + ripple;
+}
+
 }  // namespace
+
+// Friction of one joint that moves at these speeds, cold and without a load. joint: a column of the table. out: (samples).
+extern "C" void friction_steps(const double* joint, const double* speed, double dt, int samples, double* out) {
+  double bristle[kElements]{}, mean = 0, q = 0;
+  for (int k = 0; k < samples; q += dt * speed[k++])
+    out[k] = friction_nm([joint](int what) { return joint[what]; }, mean, bristle, q, speed[k], 0, 1, dt);
+}
 
 // Follows setpoints (samples, n).
 // press: (samples, kPressValues), or null. The last link is pressed along `axis`, in its own axes.
@@ -40,7 +88,7 @@ extern "C" void arm_steps(const mjModel* m, mjData* d, const double* joints, dou
   const int n = m->nv;
   const double dt = m->opt.timestep;
   const std::size_t size = static_cast<std::size_t>(samples) * n;
-  std::vector<double> jacobian(3 * n), torque(n), bristle(n), integral(n), friction(n);
+  std::vector<double> jacobian(3 * n), torque(n), bristle(kElements * n), mean(n), integral(n), friction(n);
   int number = 0;  // of the next contact
   bool acts_now = false;
   double along[3];
@@ -49,21 +97,12 @@ extern "C" void arm_steps(const mjModel* m, mjData* d, const double* joints, dou
     const std::size_t row = static_cast<std::size_t>(k) * n;
     for (int j = 0; j < n; ++j) {
       const auto of = [&](int what) { return joints[what * n + j]; };
-      const double q = d->qpos[j], v = d->qvel[j], direction = sign(v), warm = 1 - of(kWarmDrop) * warmth;
+      const double q = d->qpos[j], v = d->qvel[j], warm = 1 - of(kWarmDrop) * warmth;
       const double error = dq_des[row + j] + kPositionPerS * (q_des[row + j] - q) - v;
       integral[j] += dt * (error - integral[j] / kForgetS);
       double motor = forward[row + j] + of(kInertia) * kVelocityPerS * (error + of(kIntegral) * integral[j]);
       motor = std::clamp(motor, -of(kMost), of(kMost));
-      const double sliding =
-          warm * of(kCoulomb) * (1 + of(kAsymmetry) * direction) + of(kLoadShare) * std::fabs(motor - friction[j]);
-      const double slow = v / of(kStribeck);
-      const double g = sliding * (1 + (of(kStaticShare) - 1) * std::exp(-slow * slow));
-      const double steady = g * direction / of(kStiffness);
-      const double moved = (steady - bristle[j]) * -std::expm1(-of(kStiffness) * std::fabs(v) * dt / g);
-      bristle[j] += moved;
-      const double bent = v / kViscousBend, viscous = warm * of(kViscous) * v / std::sqrt(1 + bent * bent);
-      const double ripple = of(kRipple) * std::sin(of(kCycles) * q + of(kPhase));
-      friction[j] = of(kStiffness) * bristle[j] + of(kDamping) * moved / dt + viscous + ripple;
+      friction[j] = friction_nm(of, mean[j], &bristle[kElements * j], q, v, std::fabs(motor - friction[j]), warm, dt);
       out[row + j] = q;
       out[size + row + j] = motor;
       out[2 * size + row + j] = friction[j];

@@ -80,6 +80,8 @@ class TrueArm:
     current_noise_a: float
     integral_per_s: float = 8.0
     """Of the drives' speed loop."""
+    presliding: str = "lugre"
+    """How friction builds up at rest, of simulation.PRESLIDING."""
 
 
 def makers(models: Path) -> dict[str, Maker]:

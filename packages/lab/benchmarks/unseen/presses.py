@@ -21,6 +21,7 @@ from unseen.arms import Maker, TrueArm, arm_of, direction
 from unseen.recordings import logged, told_constants
 from unseen.simulation import (
     LINK_RADIUS_M,
+    PRESLIDING,
     RATE_HZ,
     Contact,
     Kinematics,
@@ -105,9 +106,9 @@ def torque_facts(maker: Maker, known: bool = True) -> SourceFacts:
     return SourceFacts(SourceSettings(maker.joints, period_ns, (unit,) * len(maker.joints), "held"), kind, False)
 
 
-def current_presser(maker: Maker) -> Presser:
-    """An arm of unseen.arms: a wrong URDF and motor currents."""
-    arm, constants = arm_of(maker, 0), told_constants(maker, 0, True)
+def current_presser(maker: Maker, presliding: str = PRESLIDING[0]) -> Presser:
+    """An arm of unseen.arms: a wrong URDF, motor currents, and a model of the friction at rest."""
+    arm, constants = replace(arm_of(maker, 0), presliding=presliding), told_constants(maker, 0, True)
 
     def point(link: int, share: float) -> np.ndarray:
         return reach_of(arm.tree, link, share) + [LINK_RADIUS_M, 0, 0]

@@ -215,8 +215,8 @@ BUILT = ROOT / "build" / "steps"
 
 
 @cache
-def compiled(name: str, arguments: tuple[type, ...], result: type | None) -> ctypes._CFuncPtr:  # type: ignore[name-defined]
-    """The function NAME of NAME.cpp."""
+def compiled(name: str, arguments: tuple[type, ...], result: type | None, function: str = "") -> ctypes._CFuncPtr:  # type: ignore[name-defined]
+    """This function of NAME.cpp, by default NAME."""
     source, built = Path(__file__).with_name(f"{name}.cpp"), BUILT / f"{name}.so"
     if not built.exists() or built.stat().st_mtime < source.stat().st_mtime:
         BUILT.mkdir(parents=True, exist_ok=True)
@@ -226,9 +226,9 @@ def compiled(name: str, arguments: tuple[type, ...], result: type | None) -> cty
         command = [os.environ.get("CXX", "g++"), *"-std=c++20 -O2 -shared -fPIC -Wall".split(), f"-I{library}/include"]
         subprocess.run([*command, str(source), str(engine), f"-Wl,-rpath,{library}", "-o", str(made)], check=True)
         made.replace(built)
-    function = ctypes.CDLL(str(built))[name]
-    function.restype, function.argtypes = result, list(arguments)
-    return function
+    found = ctypes.CDLL(str(built))[function or name]
+    found.restype, found.argtypes = result, list(arguments)
+    return found
 
 
 def address(values: np.ndarray) -> ctypes.c_void_p:
@@ -244,6 +244,8 @@ RATE_HZ = 1000
 BRISTLE_DAMPING = 0.1
 """Of what would damp a stuck joint critically."""
 LINK_RADIUS_M = 0.05
+PRESLIDING = ("lugre", "elasto-plastic", "maxwell-slip")
+"""Models of the friction of joints at rest, as arm_steps.cpp numbers them; see simulate()."""
 
 STEPS = (
     POINTER, POINTER, POINTER, NUMBER, NUMBER, POINTER, POINTER, POINTER, WHOLE, POINTER, WHOLE, POINTER, POINTER,
@@ -296,8 +298,15 @@ def simulate(
 ) -> Run:
     """Follow the setpoints at 1 kHz; the drive feeds forward what the known model says.
 
-    Friction is LuGre's: dz/dt = v - sigma0 |v| z / g(v), tau_f = sigma0 z + sigma1 dz/dt + viscous; the bristle's
-    equation is solved exactly over a step of constant v.
+    Friction is tau_f = sigma0 z + sigma1 dz/dt + viscous, g(v) of which bristles hold in steady sliding. How they bend
+    before, `arm.presliding`, over a step of constant v:
+
+    - lugre: dz/dt = v - sigma0 |v| z / g(v) [CanudasDeWit1995], exactly. Bristles slip at any speed, so
+      that a vibrating load moves the joint and straightens them.
+    - elasto-plastic: dz/dt = v (1 - a sigma0 |z| / g(v)), where a rises from 0 at 0.7 of the steady bend to 1 at all of
+      it, and is 0 after a reversal [Dupont2002]. Bristles that are bent less do not slip.
+    - maxwell-slip: springs in parallel, each of which slips at a force of its own ([AlBender2005], whose
+      elements approach g(v) at once here). Reversals are remembered, and no vibration straightens them.
 
     Args:
         known: the maker's model; the drive adds the rotor inertias, which it does know.
@@ -331,13 +340,14 @@ def simulate(
 
 
 def joint_table(arm: TrueArm, rotor: np.ndarray, inertia: np.ndarray, torque_nm: Sequence[float]) -> np.ndarray:
-    """Constants of the joints as arm_steps.cpp reads them, (15, joints)."""
+    """Constants of the joints as arm_steps.cpp reads them, (16, joints)."""
     stiffness = arm.static_share * arm.coulomb_nm / arm.presliding_rad
     damping = 2 * BRISTLE_DAMPING * np.sqrt(stiffness * rotor)
     rows = (
         inertia, np.array(torque_nm, dtype=float), arm.coulomb_nm, arm.asymmetry, arm.static_share, arm.stribeck_rad_s,
         stiffness, damping, arm.viscous_nm_s_rad, arm.load_share, arm.warm_drop, arm.ripple_nm, arm.ripple_cycles,
         arm.ripple_phase_rad, np.full(len(rotor), arm.integral_per_s),
+        np.full(len(rotor), PRESLIDING.index(arm.presliding)),
     )  # fmt: skip
     return np.array(rows, dtype=np.float64)
 

@@ -90,21 +90,45 @@ def with_sigma(bundle: _core.Bundle, sigma_nm: float) -> _core.Bundle:
     return copy
 
 
-def test_friction_that_is_off_at_once_is_followed_although_it_looks_like_a_touch(fitted):
+@pytest.fixture
+def alarming(fitted):
+    """A bundle with a tracker, a standard error and limits."""
     bundle, fit = fitted
     drifting = with_sigma(tracking(bundle, fit), 0.1)
     freeze_drift(drifting, CONFIG)
     drifting.contact_sliding_limit_nm = drifting.contact_near_stiction_limit_nm = [0.5, 0.5]
     drifting.sliding_limit_nm = drifting.near_stiction_limit_nm = [1.0, 1.0]
-    assert drifting.drift.friction_share == 0.4
-    made = with_dynamics(recording(9, seconds=60.0), friction=0.75)
-    signals = made.signals
-    said = _core.estimate(drifting, *signals, 1)
-    slow = _core.Bundle.from_bytes(drifting.to_bytes())
+    return drifting
+
+
+def test_friction_that_is_off_at_once_is_followed_although_it_looks_like_a_touch(alarming):
+    assert alarming.drift.friction_share == 1.5
+    slow = _core.Bundle.from_bytes(alarming.to_bytes())
     slow.drift.friction_share = 0.0
-    last = slice(-20_000, None)
-    rmse = [np.sqrt((one["tau_ext"][last] ** 2).mean(axis=0)) for one in (said, _core.estimate(slow, *signals, 1))]
-    assert (rmse[0] < 0.15).all() and (rmse[1] > 1.0).all()
+    for friction in (0.55, 0.75, 1.9):
+        signals = with_dynamics(recording(9, seconds=60.0), friction).signals
+        said = _core.estimate(alarming, *signals, 1)
+        last = slice(-20_000, None)
+        rmse = [np.sqrt((one["tau_ext"][last] ** 2).mean(axis=0)) for one in (said, _core.estimate(slow, *signals, 1))]
+        assert (rmse[0] < 0.15).all() and (rmse[1] > 1.0).all()
+
+
+def test_a_push_held_for_a_minute_is_not_absorbed(alarming):
+    made = with_dynamics(recording(9, seconds=90.0))
+    push = np.where(made.time_s[:, None] >= 30.0, [3.0, 0.0], 0.0)
+    free = _core.estimate(alarming, *made.signals, 1)
+    pushed = _core.estimate(alarming, *replace(made, tau=made.tau - push).signals, 1)
+    last = slice(-10_000, None)
+    assert np.abs(pushed["drift"] - free["drift"])[last].max() < 0.02 * 3.0
+    assert np.abs(pushed["tau_ext"][last, 0]).min() > 2.5
+
+
+def test_limits_contain_a_share_of_friction_until_the_joint_has_shown_it(alarming):
+    said = _core.estimate(alarming, *with_dynamics(recording(9, seconds=30.0)).signals, 1)
+    sliding = (said["near_stiction"] == 0) & (said["health"] == 1)[:, None]
+    limits = np.where(sliding, said["limit_nm"], np.nan)
+    assert (np.nanmax(limits[:3000], axis=0) > 5.0).all()  # friction is 5 to 8 N m
+    assert (np.nanmax(limits[-10_000:], axis=0) < 1.05).all()
 
 
 def test_estimates_hold_drift_where_there_is_a_tracker(fitted, tmp_path):

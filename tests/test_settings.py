@@ -18,7 +18,7 @@ DRIFT = [
     ({"rate_share_per_s": 0.0}, "rate_share_per_s = 0.0 must be a number > 0, at most 1"),
     ({"freeze_share": 0.0}, "freeze_share = 0.0 must be a number > 0, at most 1"),
     ({"freeze_s": float("nan")}, "freeze_s = nan must be a number from 0 to 60"),
-    ({"friction_share": 1.5}, "friction_share = 1.5 must be a number from 0 "),
+    ({"friction_share": 10.0}, "friction_share = 10.0 must be a number from 0 to 9"),
 ]
 PRIOR = [
     ({"widths_rad": (1e-3, 1e-3)}, "widths_rad = .* must be a list, each a number, at most 8, rising"),

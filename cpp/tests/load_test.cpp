@@ -410,7 +410,7 @@ void the_drift_of_an_earlier_second_comes_back() {
     tracker.step(k * kMs, dq, drift);
     tau_ext[0] = 1e-3 * static_cast<double>(k) - drift[0];
     tracker.learn(tau_ext, scale, doubt, 0, true);
-    learned[0][0] = 1e-3 * static_cast<double>(k / 1000);  // another one in each second
+    learned[0].wanted[0] = 1e-3 * static_cast<double>(k / 1000);  // another one in each second
     factors.put_learned(learned);
     history.keep(k * kMs, tracker, factors);
     if (k % 1000 == 0) known.push_back(tracker.state().coefficients[0][0]);
@@ -418,7 +418,7 @@ void the_drift_of_an_earlier_second_comes_back() {
   std::int64_t last_ms = 90'000;  // what came later was forgotten
   const auto back = [&](std::int64_t t_ms) {
     history.go_back(t_ms * kMs, tracker, factors);
-    CHECK(factors.learned()[0][0] == 1e-3 * static_cast<double>(std::max<std::int64_t>(std::min(t_ms, last_ms) / 1000, 31)));
+    CHECK(factors.learned()[0].wanted[0] == 1e-3 * static_cast<double>(std::max<std::int64_t>(std::min(t_ms, last_ms) / 1000, 31)));
     last_ms = std::min(t_ms, last_ms);
     return tracker.state().coefficients[0][0];
   };

@@ -257,9 +257,9 @@ class DriftConfig(Settings):
     error are so low in easy motion that drift alone exceeds them."""
     most_frozen: Annotated[float, Rule(" > 0, below 1", lambda value: 0 < value < 1)] = 0.03
     """Largest share of free motion in which the tracker is paused; the threshold of |tau_ext| is raised to keep it."""
-    friction_share: Share = 0.4
-    """Largest sudden change of a joint's friction that is followed within some strokes even during contact, as a share
-    (0: never; at most 1). It occurs on a cold morning. Needs limits that follow the error."""
+    friction_share: Annotated[float, within(0, 9)] = 1.5
+    """Friction that is followed within some strokes, even during contact: 1 / (1 + this) to 1 + this times the friction
+    of training (0: none is). Needs limits that follow the error."""
 
 
 @dataclass(frozen=True)

@@ -201,7 +201,7 @@ struct DriftSettings {
   double freeze_s = 0;          // learning pauses for this time after a touch, [s]
   std::vector<double> freeze_floor_nm = {};  // per joint: a smaller torque is no touch, however low the limit, [N m];
                                              // empty: 0
-  double friction_share = 0;  // largest sudden relative change of the friction (FrictionFactors); 0: not followed
+  double friction_share = 0;  // FrictionFactors follow friction of 1 / (1 + this) to 1 + this times the prior's; 0: none
 
   bool on() const noexcept { return time_constant_s > 0; }
   bool follows_factors() const noexcept { return on() && friction_share > 0; }

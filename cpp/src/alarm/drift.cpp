@@ -89,6 +89,12 @@ double square(const FrictionFactors::Stroke& s, double c, double v) noexcept {
   return s.cc * c * c + 2 * s.cv * c * v + s.vv * v * v;
 }
 
+// Motion has shown that the factors are off by a share, of a variance.
+void narrow(FrictionFactors::Joint& joint, double off, double variance) noexcept {
+  const double error = std::sqrt(off * off + variance);
+  if (error < joint.known.error) joint.known.error = error;  // NaN compares false
+}
+
 }  // namespace
 
 FrictionFactors::FrictionFactors(double share, int joints, double gain_per_s)
@@ -111,15 +117,18 @@ void FrictionFactors::forget_strokes() noexcept {
 
 FrictionFactors::Learned FrictionFactors::learned() const noexcept {
   Learned factors;
-  std::ranges::transform(state_.joints, factors.begin(), &Joint::wanted);
+  std::ranges::transform(state_.joints, factors.begin(), &Joint::known);
   return factors;
 }
 
 void FrictionFactors::put_learned(const Learned& factors) noexcept {
   forget_strokes();
-  for (std::size_t j = 0; j < factors.size(); ++j)
-    for (std::size_t m = 0; m < kParts; ++m)
-      state_.joints[j].factors[m] = state_.joints[j].wanted[m] = std::clamp(factors[j][m], -2 * share_, 2 * share_);
+  for (std::size_t j = 0; j < factors.size(); ++j) {
+    Joint& joint = state_.joints[j];
+    joint.known = factors[j];
+    for (double& wanted : joint.known.wanted) wanted = std::clamp(wanted, least(), share_);
+    joint.factors = joint.known.wanted;
+  }
 }
 
 void FrictionFactors::step(std::int64_t t_ns, std::span<const double> coulomb, std::span<const double> viscous,
@@ -135,7 +144,7 @@ void FrictionFactors::step(std::int64_t t_ns, std::span<const double> coulomb, s
       double& filtered = joint.filtered[m];
       filtered = s.started ? filtered + weight * (0.5 * (joint.now[m] + now[m]) - filtered) : 0.0;
       joint.now[m] = now[m];
-      joint.factors[m] += std::clamp(joint.wanted[m] - joint.factors[m], -glide, glide);
+      joint.factors[m] += std::clamp(joint.known.wanted[m] - joint.factors[m], -glide, glide);
       drift[j] += joint.factors[m] * filtered;
     }
   }
@@ -154,6 +163,13 @@ void FrictionFactors::learn(std::span<const double> dq, std::span<const double> 
       continue;
     }
     const bool near = near_stiction >> j & 1;
+    if (joint.near && !near) {
+      joint.known.error = grown(joint);
+      if (joint.known.moved) joint.stiff = std::max(joint.stiff, kStiff * joint.known.error);
+      joint.known.moved = true;
+      joint.known.since_ns = state_.t_ns;
+    }
+    joint.near = near;
     joint.stuck_ns = near ? forget_ns_ : std::max<std::int64_t>(joint.stuck_ns - state_.step_ns, 0);
     const bool turned = joint.open.seconds > 0 && joint.open.travel * dq[j] < 0;
     if (near || turned) close(j, slow);
@@ -186,13 +202,45 @@ void FrictionFactors::close(int j, DriftTracker& slow) noexcept {
   Joint& joint = state_.joints[static_cast<std::size_t>(j)];
   const Stroke ended = joint.open;
   joint.open = {};
-  if (!(ended.seconds >= kLeastSeconds && std::fabs(ended.travel) >= kLeastTravel && std::isfinite(ended.ee + ended.cc + ended.vv + ended.sigma2)))
-    return;
-  joint.strokes[static_cast<std::size_t>(joint.next)] = ended;
-  joint.strokes[static_cast<std::size_t>(joint.next)].end_ns = state_.t_ns;
-  joint.next = (joint.next + 1) % kStrokes;
-  cancel(j, ended, slow);
-  conclude(j);
+  if (!(ended.seconds >= kLeastSeconds && std::isfinite(ended.ee + ended.cc + ended.vv + ended.sigma2))) return;
+  // The stroke alone shows that friction is off by a share, of a variance.
+  const double friction2 = square(ended, 1, 1), variance = kMemory_s * ended.sigma2 / (ended.seconds * friction2);
+  const double left_c = ended.ce - joint.known.wanted[0] * ended.cc - joint.known.wanted[1] * ended.cv;
+  const double left_v = ended.ve - joint.known.wanted[0] * ended.cv - joint.known.wanted[1] * ended.vv;
+  const double off = (left_c + left_v) / friction2;
+  joint.stiff *= std::max(1 - ended.seconds / kRunsIn_s, 0.0);
+  if (std::fabs(ended.travel) >= kLeastTravel) {
+    joint.level = std::sqrt(friction2 / ended.seconds);
+    joint.strokes[static_cast<std::size_t>(joint.next)] = ended;
+    joint.strokes[static_cast<std::size_t>(joint.next)].end_ns = state_.t_ns;
+    joint.next = (joint.next + 1) % kStrokes;
+    cancel(j, ended, slow);
+    std::array<Evidence, kMaxJoints> found;
+    for (int k = 0; k < joints_; ++k) found[static_cast<std::size_t>(k)] = evidence(state_.joints[static_cast<std::size_t>(k)]);
+    for (int k = 0; k < joints_; ++k) conclude(k, k == j ? variance : 0.0, std::span(found).first(static_cast<std::size_t>(joints_)));
+  }
+  narrow(joint, off, variance);
+}
+
+// Friction may have changed since the last stroke.
+double FrictionFactors::grown(const Joint& joint) const noexcept {
+  const Factor& known = joint.known;
+  if (!known.moved || state_.t_ns < known.since_ns) return kStart;
+  return std::min(std::sqrt(known.error * known.error + kChanges_s * seconds(state_.t_ns - known.since_ns)), kStart);
+}
+
+// Near stiction, presliding friction changes its shape with its size, and after a rest it is harder to break away.
+void FrictionFactors::raise(std::span<const double> dq, std::span<double> limit_nm) const noexcept {
+  if (!on()) return;
+  for (std::size_t j = 0; j < limit_nm.size(); ++j) {
+    const Joint& joint = state_.joints[j];
+    double error = joint.known.error;
+    if (joint.stuck_ns > 0) {
+      if (joint.near && std::fabs(dq[j]) > kMoves) error = grown(joint);
+      limit_nm[j] += (std::max(std::fabs(joint.factors[0]) - kBent, 0.0) + joint.stiff) * joint.level;
+    }
+    if (error > kUsual) limit_nm[j] += kWide * (error - kUsual) * (std::fabs(joint.filtered[0]) + std::fabs(joint.filtered[1]));
+  }
 }
 
 void FrictionFactors::cancel(int j, const Stroke& ended, DriftTracker& slow) noexcept {
@@ -200,11 +248,11 @@ void FrictionFactors::cancel(int j, const Stroke& ended, DriftTracker& slow) noe
   const double share = std::min(ended.seconds / kCancel_s, 1.0);
   Parts more{};
   for (std::size_t m = 0; m < kParts; ++m) {
-    const double squares = m == 0 ? ended.cc : ended.vv, factor = ended.slow[m] / squares, wanted = joint.wanted[m];
+    const double squares = m == 0 ? ended.cc : ended.vv, factor = ended.slow[m] / squares, wanted = joint.known.wanted[m];
     // NaN compares false: a joint without this part of friction.
     if (!(squares > kWorth * kWorth * square(ended, 1, 1)) || !(factor * wanted < 0)) continue;
     more[m] = std::clamp(share * factor, -std::fabs(wanted), std::fabs(wanted));
-    joint.wanted[m] += more[m];
+    joint.known.wanted[m] += more[m];
     slow.give(j, DriftTracker::kFriction + static_cast<int>(m), more[m] / factor);
   }
   // tau_ext without the factors now has more of this friction, in earlier strokes, too.
@@ -216,11 +264,28 @@ void FrictionFactors::cancel(int j, const Stroke& ended, DriftTracker& slow) noe
   }
 }
 
+// Of the strokes that count. Up to kTouched of them that fit worst are left out where the others fit.
 FrictionFactors::Evidence FrictionFactors::evidence(const Joint& joint) const noexcept {
+  std::array<bool, kStrokes> counts{};
+  for (std::size_t k = 0; k < counts.size(); ++k) {
+    const Stroke& s = joint.strokes[k];
+    counts[k] = s.seconds > 0 && elapsed_ns(state_.t_ns, s.end_ns) <= static_cast<std::uint64_t>(1e9 * kOld_s);
+  }
+  const Evidence all = evidence(joint, counts);
+  Evidence found = all;
+  for (int k = 0; k < kTouched && !found.fits && found.strokes > kLeast; ++k) {
+    counts[found.worst] = false;
+    found = evidence(joint, counts);
+  }
+  return found.fits ? found : all;
+}
+
+FrictionFactors::Evidence FrictionFactors::evidence(const Joint& joint, const std::array<bool, kStrokes>& counts) const noexcept {
   Evidence found;
   Stroke all;
-  for (const Stroke& s : joint.strokes) {
-    if (s.seconds == 0 || elapsed_ns(state_.t_ns, s.end_ns) > static_cast<std::uint64_t>(1e9 * kOld_s)) continue;
+  for (std::size_t k = 0; k < counts.size(); ++k) {
+    if (!counts[k]) continue;
+    const Stroke& s = joint.strokes[k];
     ++found.strokes;
     found.forward += s.travel > 0;
     all.seconds += s.seconds;
@@ -233,36 +298,53 @@ FrictionFactors::Evidence FrictionFactors::evidence(const Joint& joint) const no
     all.sigma2 += s.sigma2;
   }
   if (found.strokes == 0) return found;
+  found.seconds = all.seconds;
   found.sigma2 = all.sigma2 / all.seconds;
   const double known = found.sigma2 * kMemory_s, together = known / (kApart * kApart);
   const double cc = all.cc + known + together, vv = all.vv + known + together, cv = all.cv - together;
   const double determinant = cc * vv - cv * cv;  // > 0: positive definite
   const double c = (vv * all.ce - cv * all.ve) / determinant, v = (cc * all.ve - cv * all.ce) / determinant;
   found.factors = {c, v};
-  found.whole2 = square(all, c, v) / all.seconds;
+  const double whole2 = square(all, c, v) / all.seconds;
+  found.along = (c * (all.cc + all.cv) + v * (all.cv + all.vv)) / all.seconds;
   found.friction2 = square(all, 1, 1) / all.seconds;
-  found.change2 = square(all, c - joint.wanted[0], v - joint.wanted[1]) / all.seconds;
-  const double left2 = (all.ee - 2 * (c * all.ce + v * all.ve)) / all.seconds + found.whole2;
-  found.fits = left2 <= kFits * kFits * found.sigma2 + kFitsShare * kFitsShare * found.whole2;
+  found.change2 = square(all, c - joint.known.wanted[0], v - joint.known.wanted[1]) / all.seconds;
+  const auto left = [&](const Stroke& s) noexcept { return s.ee - 2 * (c * s.ce + v * s.ve) + square(s, c, v); };
+  found.left2 = left(all) / all.seconds;
+  found.fits = found.left2 <= kFits * kFits * found.sigma2 + kFitsShare * kFitsShare * whole2;
+  double most = -1;
+  for (std::size_t k = 0; k < counts.size(); ++k) {
+    const Stroke& s = joint.strokes[k];
+    if (!counts[k] || left(s) <= most * s.sigma2) continue;
+    most = left(s) / s.sigma2;
+    found.worst = k;
+  }
   return found;
 }
 
-void FrictionFactors::conclude(int j) noexcept {
+// variance: of the factor by the stroke that has ended; 0: another joint's stroke.
+void FrictionFactors::conclude(int j, double variance, std::span<const Evidence> found) noexcept {
   const std::uint32_t bit = std::uint32_t{1} << j;
   Joint& joint = state_.joints[static_cast<std::size_t>(j)];
-  const Evidence own = evidence(joint);
-  if (own.strokes < kLeast || own.forward == 0 || own.forward == own.strokes || !own.fits) return;
-  for (int k = 0; k < joints_; ++k) {
-    const Evidence other = evidence(state_.joints[static_cast<std::size_t>(k)]);
+  const Evidence& own = found[static_cast<std::size_t>(j)];
+  if (own.strokes < kLeast || own.forward == 0 || own.forward == own.strokes) return;
+  const double of_all = kMemory_s * std::max(own.left2, own.sigma2) / (own.friction2 * own.seconds);
+  narrow(joint, std::sqrt(own.change2 / own.friction2), of_all);
+  if (!own.fits) return;
+  for (const Evidence& other : found)
     if (other.strokes > 0 && (other.strokes < kLeast || !other.fits)) return;
-  }
-  if (!(own.change2 >= kFound * kFound * own.sigma2)) return;
-  if (!(own.whole2 <= share_ * share_ * own.friction2)) {
+  const double change = own.along / own.friction2;  // of both parts together
+  if (!(change <= share_ && change >= least())) {
     state_.saturated |= bit;
     return;
   }
   state_.saturated &= ~bit;
-  for (std::size_t m = 0; m < kParts; ++m) joint.wanted[m] = std::clamp(own.factors[m], -2 * share_, 2 * share_);
+  const bool sudden = own.change2 >= kFound * kFound * own.sigma2;
+  if (!sudden && variance == 0) return;
+  const double known = joint.known.error * joint.known.error, gain = sudden ? 1.0 : known / (known + variance);
+  for (std::size_t m = 0; m < kParts; ++m)
+    joint.known.wanted[m] = std::clamp(joint.known.wanted[m] + gain * (own.factors[m] - joint.known.wanted[m]), least(), share_);
+  joint.known.error = std::sqrt(sudden ? of_all : gain * variance);
 }
 
 }  // namespace tauext

@@ -3,6 +3,7 @@
 #pragma once
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -90,14 +91,19 @@ class DriftTracker {
 // in one direction. The normal equations of the last strokes are kept, with the prior term P = sigma^2 kMemory_s ((1,
 // 0; 0, 1) + (1, -1; -1, 1) / kApart^2): both parts change together.
 //   x = (sum f f' dt + P)^-1 sum f e dt,    e: tau_ext at x = 0
-// The factors move to x, rate-limited, if
+// The factors move towards x, rate-limited, if
 //   - it fits: RMS(e - x f) <= kFits times the RMS standard error, or a tenth of RMS(x f);
 //   - the strokes of all other joints that moved recently fit too;
-//   - the change explains at least kFound times the standard error, RMS;
-//   - the change is plausible: RMS(x f) <= share RMS(f_c + f_v).
+//   - the friction is within its bounds: 1 / (1 + share) to 1 + share times that of the prior.
+// A change of kFound standard errors (RMS) is taken over at once. Of a smaller one the Kalman gain s^2 / (s^2 + v): v is
+// the variance of one stroke's factor, s the standard error of the factors, which grows with time.
 // Forces that are constant, act in one direction or in some poses only, or oppose the tool's velocity do not fit. If a
-// joint moves alone, a force that opposes its motion both ways at a constant lever looks like friction. At most `share`
-// of the joint's friction is then learned, and nothing of a larger force.
+// joint moves alone, a force that opposes its motion both ways at a constant lever looks like friction. It is learned
+// within the bounds, and nothing of a larger force.
+//
+// s also raises the limits, by kWide times what exceeds its usual value: friction may have changed since the last
+// stroke. Each stroke lowers s to what it shows of the friction, whether or not the factors move. A joint at rest keeps
+// the friction with which it stopped, so its limits rise when it moves.
 //
 // After each stroke, a part of a factor that the slow tracker has learned with the opposite sign is cancelled in both.
 // Else, every cold start would add to the factors, and every warm-up would subtract it in the slow tracker: the sum is
@@ -107,6 +113,7 @@ class FrictionFactors {
   static constexpr int kParts = 2;               // Coulomb, viscous
   static constexpr int kStrokes = 6;             // kept per joint
   static constexpr int kLeast = 3;               // a reversal may be the end of a push; two are not
+  static constexpr int kTouched = 2;             // of the strokes may be left out: something touched the arm
   static constexpr double kLeastSeconds = 0.1;   // of a stroke; r needs about 1/K0
   static constexpr double kLeastTravel = 0.1;    // [rad or m]
   static constexpr double kOld_s = 120;          // older strokes are ignored
@@ -119,6 +126,14 @@ class FrictionFactors {
   static constexpr double kForgottenShare = 3;   // times 1/K0 after stiction: the observer's memory
   static constexpr double kCancel_s = 10;        // of sliding: short against the slow tracker's minutes
   static constexpr double kWorth = 0.1;          // of the joint's friction, RMS: with a smaller part nothing is cancelled
+  static constexpr double kStart = 0.75;         // standard error of the factors before the first stroke
+  static constexpr double kChanges_s = 2.5e-5;   // growth of its square per second: 4 % in a minute, 30 % in an hour
+  static constexpr double kUsual = 0.03;         // standard error that limits contain already
+  static constexpr double kWide = 2;             // standard errors by which limits are raised
+  static constexpr double kMoves = 0.005;        // [rad/s or m/s]: a slower joint rests
+  static constexpr double kBent = 0.1;           // change of friction that limits near stiction contain
+  static constexpr double kStiff = 0.5;          // share of the error by which breaking away is uncertain after a rest
+  static constexpr double kRunsIn_s = 60;        // of sliding, until it no longer is
 
   using Parts = std::array<double, kParts>;
   // Sums over one stroke, times dt.
@@ -130,13 +145,24 @@ class FrictionFactors {
     Parts slow{};                    // of f times the slow tracker's part, Coulomb and viscous
     double sigma2 = 0;
   };
+  // What has been learned of a joint.
+  struct Factor {
+    Parts wanted{};            // factors less 1
+    double error = 0;          // their standard error
+    bool moved = false;        // `error` holds
+    std::int64_t since_ns = 0; // from this time
+  };
   struct Joint {
     std::array<Stroke, kStrokes> strokes{};
     Stroke open{};
     int next = 0;               // index of the next stroke
     std::int64_t stuck_ns = 0;  // remaining time after stiction
     Parts now{}, filtered{};    // friction at the last sample, [N m]
-    Parts factors{}, wanted{};  // less 1: as applied, and their target
+    Parts factors{};            // less 1, as applied
+    bool near = true;           // near stiction at the last sample
+    Factor known;               // the target of the factors
+    double stiff = 0;           // share by which breaking away is uncertain
+    double level = 0;           // friction in the last stroke, RMS, [N m]
   };
   struct State {
     bool started = false;
@@ -146,7 +172,7 @@ class FrictionFactors {
     std::array<Joint, kMaxJoints> joints{};
   };
 
-  // share: largest relative change of friction; 0 turns tracking off.
+  // share: friction is within 1 / (1 + share) and 1 + share times that of the prior; 0 turns tracking off.
   FrictionFactors(double share, int joints, double gain_per_s);
 
   bool on() const noexcept { return share_ > 0; }
@@ -157,8 +183,7 @@ class FrictionFactors {
   // For a changed load: discards all strokes, keeps the factors.
   void forget_strokes() noexcept;
 
-  // Friction factors of each joint, less 1.
-  using Learned = std::array<Parts, kMaxJoints>;
+  using Learned = std::array<Factor, kMaxJoints>;
   Learned learned() const noexcept;
   // Applies these factors at once, within the bounds, and discards all strokes.
   void put_learned(const Learned& factors) noexcept;
@@ -172,6 +197,9 @@ class FrictionFactors {
   void learn(std::span<const double> dq, std::span<const double> tau_ext, std::span<const double> sigma,
              std::span<const double> doubt, std::uint32_t near_stiction, bool trusted, DriftTracker& slow) noexcept;
 
+  // Raises each joint's limits by how much its friction may be off at the last sample beside the usual, [N m].
+  void raise(std::span<const double> dq, std::span<double> limit_nm) const noexcept;
+
   // One bit per joint: friction is off by more than may be learned. Retraining is due.
   std::uint32_t saturated() const noexcept { return state_.saturated; }
   const State& state() const noexcept { return state_; }
@@ -183,14 +211,20 @@ class FrictionFactors {
     int strokes = 0, forward = 0;
     bool fits = false;
     Parts factors{};
-    double change2 = 0, whole2 = 0, friction2 = 0, sigma2 = 0;  // mean squares of change, x f, friction and sigma
+    // Mean squares of change, friction, sigma, and of what x f leaves; mean product of x f and friction.
+    double change2 = 0, friction2 = 0, sigma2 = 0, left2 = 0, along = 0;
+    double seconds = 0;
+    std::size_t worst = 0;  // index of the stroke that fits worst
   };
 
   void add(int joint, double dq, double tau_ext, double sigma, const DriftTracker& slow) noexcept;
   void close(int joint, DriftTracker& slow) noexcept;
   void cancel(int joint, const Stroke& ended, DriftTracker& slow) noexcept;
   Evidence evidence(const Joint& joint) const noexcept;
-  void conclude(int joint) noexcept;
+  Evidence evidence(const Joint& joint, const std::array<bool, kStrokes>& counts) const noexcept;
+  void conclude(int joint, double variance, std::span<const Evidence> found) noexcept;
+  double grown(const Joint& joint) const noexcept;
+  double least() const noexcept { return 1 / (1 + share_) - 1; }  // of a factor less 1
 
   double share_;
   int joints_;

@@ -179,7 +179,7 @@ void DriftSettings::validate(int joints) const {
   expect(within(0, 1)(freeze_share), "drift.freeze_share", freeze_share, "0 (never frozen by torque) to 1");
   expect(within(0, 60)(freeze_s), "drift.freeze_s", freeze_s, "0 to 60");
   if (!freeze_floor_nm.empty()) expect_size("drift.freeze_floor_nm", freeze_floor_nm.size(), size_nm.size());
-  expect(within(0, 1)(friction_share), "drift.friction_share", friction_share, "0 (not followed) to 1");
+  expect(within(0, 9)(friction_share), "drift.friction_share", friction_share, "0 (not followed) to 9");
   expect_each("drift.freeze_floor_nm", freeze_floor_nm, within(0, largest), "0 to 1e300");
 }
 

@@ -22,7 +22,7 @@ JudgeStage::JudgeStage(const Bundle& bundle)
     : output_scale_nm_(bundle.output_scale_nm),
       alarm_(bundle.joints(), static_cast<int>(bundle.prior.widths_rad.size()), bundle.limits),
       drift_(bundle.drift, bundle.limits, bundle.joints(), bundle.observer.gain_per_s),
-      factors_(bundle.drift.on() ? bundle.drift.friction_share : 0.0, bundle.joints(), bundle.observer.gain_per_s),
+      factors_(bundle.drift.on() && bundle.error_scale.on() ? bundle.drift.friction_share : 0.0, bundle.joints(), bundle.observer.gain_per_s),
       scale_(bundle.error_scale, bundle.joints(), bundle.observer.gain_per_s),
       contact_errors_(bundle),
       coverage_(bundle.joints(), bundle.coverage, bundle.observer.slowest_per_s()),
@@ -213,6 +213,7 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
   JointVector raised;  // only the first `joints` entries are set
   for (int j = 0; j < e.joints; ++j)
     raised[j] = e.doubt[j] + widened_at_rest_nm_[j] + widened_per_speed_[j] * std::fabs(sample.dq[static_cast<std::size_t>(j)]);
+  factors_.raise(sample.dq, first_joints(raised));
   e.near_stiction = o.near_stiction;
   const bool expects = expected && expected->on(), declares = contacts && contacts->any();
   bool pressed = false;

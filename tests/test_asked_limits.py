@@ -43,14 +43,12 @@ def test_the_rate_over_the_level_is_the_one_asked_for_in_the_median(hours):
     assert covered >= 48  # of 60: 54 expected; fewer than 48 once in a hundred times
 
 
-def test_growth_raises_the_level_and_fades_with_the_hours():
-    rng = np.random.default_rng(3)
-    minutes, day = exponential(rng, 0.1), exponential(rng, 24.0)
-    grown = AskedConfig(growth=0.3, growth_spread=0.0, growth_hours=1.0)
-    ratio = WorstErrors.of(minutes, 0.1, grown).level(0.5) / WorstErrors.of(minutes, 0.1, STEADY).level(0.5)
-    assert ratio == pytest.approx(np.exp(0.3 / np.sqrt(1.1)), rel=1e-2)
-    ratio = WorstErrors.of(day, 24.0, grown).level(0.5) / WorstErrors.of(day, 24.0, STEADY).level(0.5)
-    assert ratio == pytest.approx(np.exp(0.3 / 5), rel=1e-2)
+@pytest.mark.parametrize(("hours", "shown"), [(1 / 60, 1 - np.exp(-1 / 4)), (0.5, 1.0), (24.0, 1.0)])
+def test_growth_replaces_the_reserve_of_the_first_minutes_and_fades_with_the_hours(hours, shown):
+    peaks = exponential(np.random.default_rng(3), hours)
+    grown = AskedConfig(growth=0.3, growth_spread=0.0, growth_hours=0.5)
+    ratio = WorstErrors.of(peaks, hours, grown).level(0.5) / WorstErrors.of(peaks, hours, STEADY).level(0.5)
+    assert ratio == pytest.approx(np.exp(0.3 * shown / np.sqrt(1 + hours / 0.5)), rel=1e-2)
 
 
 def test_a_peak_that_the_budget_does_not_allow_is_never_exceeded_by_the_limits():

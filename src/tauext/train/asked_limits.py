@@ -27,7 +27,7 @@ from tauext.train.held_peaks import REGIONS, Moment, Peaks, collect_peaks
 from tauext.train.hits import noticed_pushes_n
 from tauext.train.paper_limits import LimitMotion
 from tauext.train.promised_limits import PromisedLimits, calibrated, note_moments
-from tauext.train.supported_limits import Raised, put_other_motion, raised
+from tauext.train.supported_limits import Raised, SupportedConfig, put_other_motion, raised
 
 
 @dataclass(frozen=True)
@@ -42,12 +42,14 @@ class AskedConfig:
     """Mean and standard deviation of the prior of the tail's shape."""
     scale: tuple[float, float] = (0.1, 0.4)
     """Median of the prior of its scale, as a share of the threshold, and the standard deviation of the logarithm."""
-    growth: float = 0.05
-    """Median of ln g, the growth of errors by friction that minutes do not show, and ..."""
+    growth: float = 0.3
+    """Median of ln g, the growth of errors by friction that the motion does not show, and ..."""
     growth_spread: float = 0.2
     """... its standard deviation; both fall as ..."""
-    growth_hours: float = 0.1
+    growth_hours: float = 0.5
     """... 1 / sqrt(1 + hours / this): hours contain warm-up, programs and pauses of their own."""
+    reserve_hours: float = SupportedConfig.decay_s / 3600
+    """The reserve of friction in the limits of the first minutes fades with this time, and the growth replaces it."""
     draws: int = 256
     interval: float = 0.9
     """Probability of the stated interval."""
@@ -85,7 +87,8 @@ class WorstErrors:
         paired = np.random.default_rng(0)
         above = paired.permutation(gammaincinv(count + 0.5, even)) / hours
         unseen = 1 / math.sqrt(1 + hours / config.growth_hours)
-        grown = np.exp(unseen * (config.growth + config.growth_spread * ndtri(paired.permutation(even))))
+        growth = -config.growth * math.expm1(-hours / config.reserve_hours)
+        grown = np.exp(unseen * (growth + config.growth_spread * ndtri(paired.permutation(even))))
         levels = np.r_[np.unique(peaks[:200]), peaks[0] * np.geomspace(1.001, 50, 300)]
         at = levels / grown[:, None]
         beyond = np.maximum(1 + shape[:, None] * np.maximum(at - threshold, 0) / scale[:, None], 1e-12)

@@ -9,6 +9,7 @@ import pytest
 from made_bundles import pushed, watching_bundle
 from made_commission import add_event
 from made_live import Clock, Keeper, ScriptedSource, samples_of
+from tauext_commission.budget import Promise
 from tauext_commission.connect import held_rate
 from tauext_commission.folder import CommissionFolder
 from tauext_commission.history import Kept, describe_folder, kept_of
@@ -153,8 +154,8 @@ def test_the_promise_counts_monitored_hours_only_also_after_a_restart(tmp_path):
     assert (found.hours, found.of_hours, found.false) == (0.9, 1.0, 1)
     shown = describe_folder(folder.path)
     assert shown["monitored"] == "90.0 % of 1 h in all"
-    words = Kept("b0001", 1.0, "", 0.9, (), 0, 1.0).words()
-    assert words.endswith("counted: 0 false alarms in 54 minutes (monitored 90.0 % of 1 h): kept"), words
+    words = Kept("b0001", Promise(1.0, 1.0), 0.9, (), 0, 1.0).words()
+    assert words.endswith("Counted: 0 false alarms in 54 minutes (monitored 90.0 % of 1 h): kept."), words
     folder.coverage_file.write_text("{")  # the received time of the history remains
     assert kept_of(folder.path, "b0001", 7200.0).hours == 2.0
 

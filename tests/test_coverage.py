@@ -167,7 +167,8 @@ def test_the_monitor_tells_it_and_widens_its_limits_by_a_capped_share(watching):
     assert (said["unfamiliar"] >= look["share"] - 1e-12).all()
     half = made.samples // 2
     assert (said["unfamiliar"][:half] < 0.5).mean() > 0.99 and (said["unfamiliar"][half:] == 1).mean() > 0.2
-    bundle.after_contact_factor = 1.0  # what one of the two detects raises its limits afterwards
+    # What one of the two detects or learns of friction changes its limits afterwards.
+    bundle.after_contact_factor, bundle.drift.friction_share = 1.0, 0.0
     said = _core.Monitor(bundle).run(*signals)
     plain = _core.Bundle.from_bytes(bundle.to_bytes())
     plain.coverage = _core.CoverageSettings()

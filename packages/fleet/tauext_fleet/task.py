@@ -139,7 +139,7 @@ def digest_of(content: object) -> str:
 
 COUNTED = {
     "tauext": ("files", "robot", "data", "bundle", "check", "fit", "train", "monitor"),
-    "tauext_lab": ("evaluate", "torch_backend.py", "own_network.py"),
+    "tauext_lab": ("evaluate", "torch_backend.py", "own_network.py", "other_methods.py"),
     "tauext_fleet": (
         *("config.py", "locations.py", "stages.py", "store.py", "task.py"),
         *("expected_friction.py", "fleet_prior.py", "hierarchy.py", "like.py", "map_regression.py"),

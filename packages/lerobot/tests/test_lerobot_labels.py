@@ -48,7 +48,12 @@ def place(tmp_path_factory):
     import_dataset([folder / "free"], described(folder, "deg"), folder / "data", "tauext", lambda _: None)
     data = load_dataset(folder / "data")
     no_ripple = PriorConfig(most_ripples=0)  # this arm has none, and to look for it takes most of a training
-    train_bundle(data, folder / "arm.tauext", config=TrainConfig(recipe="prior", prior=no_ripple), check=False)
+    train_bundle(
+        data,
+        folder / "arm.tauext",
+        config=TrainConfig(recipe="prior", prior=no_ripple, limits="supported"),
+        check=False,
+    )
     walls = arms.episodes(range(100, 100 + COUNT), FRAMES, wall=True)
     arms.write_dataset(folder / "v3.0", walls, "v3.0")
     arms.write_dataset(folder / "v2.1", walls, "v2.1")

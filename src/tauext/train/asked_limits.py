@@ -186,7 +186,8 @@ def proved(bundle: Bundle, motion: LimitMotion, config: AskedConfig) -> tuple[Ra
         assert promised.peaks is not None
         return Raised(promised, facts, facts["sentence"]), worst_of(bundle, promised.peaks, config)
     found = raised(bundle, motion)
-    (peaks,) = collect_peaks(bundle, motion.held_out, (bundle.hold_s,), motion.threads, motion.margins)
+    hold_s = min(bundle.hold_s, bundle.contact_hold_s)  # that of contacts, where the limits are the largest errors
+    (peaks,) = collect_peaks(bundle, motion.held_out, (hold_s,), motion.threads, motion.margins)
     return found, worst_of(bundle, peaks.of_joints(np.flatnonzero(bundle.monitored)), config)
 
 

@@ -239,4 +239,5 @@ def test_a_loop_runs_on_a_stand_in_of_a_robot(franka):
     keeper = Keeper(lambda verdict: verdict.row == 50 and verdict.sample and keeper.control.stop("test"))
     source = FrankaSource("h")
     Loop(sliding_masses(FRANKA_JOINTS), source, [keeper]).run()
-    assert len([v for v in keeper.verdicts if v.sample is not None]) == 51 and source._robot is None
+    # The block that holds row 50 is finished; on a busy computer it has further samples.
+    assert len([v for v in keeper.verdicts if v.sample is not None]) >= 51 and source._robot is None

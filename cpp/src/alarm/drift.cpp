@@ -226,7 +226,7 @@ void FrictionFactors::close(int j, DriftTracker& slow) noexcept {
 double FrictionFactors::grown(const Joint& joint) const noexcept {
   const Factor& known = joint.known;
   if (!known.moved || state_.t_ns < known.since_ns) return kStart;
-  return std::min(std::sqrt(known.error * known.error + kChanges_s * seconds(state_.t_ns - known.since_ns)), kStart);
+  return std::min(std::sqrt(known.error * known.error + kChanges_s * seconds(state_.t_ns - known.since_ns)), kMost);
 }
 
 // Near stiction, presliding friction changes its shape with its size, and after a rest it is harder to break away.

@@ -127,6 +127,7 @@ class FrictionFactors {
   static constexpr double kCancel_s = 10;        // of sliding: short against the slow tracker's minutes
   static constexpr double kWorth = 0.1;          // of the joint's friction, RMS: with a smaller part nothing is cancelled
   static constexpr double kStart = 0.15;         // standard error of the factors before the first stroke
+  static constexpr double kMost = 0.75;          // most that it grows to after a long rest
   static constexpr double kChanges_s = 2.5e-5;   // growth of its square per second: 4 % in a minute, 30 % in an hour
   static constexpr double kUsual = 0.03;         // standard error that limits contain already
   static constexpr double kWide = 2;             // standard errors by which limits are raised

@@ -14,6 +14,7 @@ from tauext.errors import TrainingError
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.fit.prior import Inertia, fit_terms
 from tauext.train.asked_limits import AskedConfig, WorstErrors, budgets_sentence, posterior, put_asked
+from tauext.train.declared_spread import noticed_standing
 from tauext.train.error_scale import HeldOut, collect_rows, fit_error_scale, with_unit_scale
 from tauext.train.held_peaks import Peaks
 from tauext.train.hits import noticed_pushes_n
@@ -143,8 +144,8 @@ def test_the_median_push_is_that_of_a_lever_over_all_directions():
     found = noticed_pushes_n(bundle, [[0.0, 0.0], [0.4, 1.0]])
     assert set(found) == {"end of the arm", "link of shoulder, at elbow"}
     assert list(found.values()) == pytest.approx(2 * [3.0 / 0.3 / 0.5], rel=0.02)  # of 100 directions
-    bundle.sliding_limit_nm = [np.inf, 1.0]
-    assert noticed_pushes_n(bundle, [[0.0, 0.0]]) == {}
+    bundle.sliding_limit_nm = bundle.near_stiction_limit_nm = [np.inf, 1.0]
+    assert noticed_pushes_n(bundle, [[0.0, 0.0]]) == noticed_standing(bundle, [[0.0, 0.0]]) == {}
 
 
 # --- The error scale in other programs.

@@ -193,7 +193,8 @@ STANDS_S = 0.7
 
 
 def noticed_standing(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | None = None) -> dict:
-    """Facts of pushes that are noticed at rest during a declared contact; empty where no forces can be estimated.
+    """Facts of pushes that are noticed at rest during a declared contact; empty where no forces can be estimated, or
+    none is noticed.
 
     A push that rises slowly is noticed on a resting joint from its limit and the friction that it may hide, a sudden
     one from its limit and what is followed meanwhile. Each is the median over directions and poses, beside what the
@@ -218,7 +219,10 @@ def noticed_standing(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | No
             slow_n, sudden_n = (
                 float(np.median(1 / (felt / nm).max(axis=2))) for nm in (limit_nm + hidden_nm, limit_nm / left)
             )
-        facts.append({"at": point.name, "slow_n": slow_n, "sudden_n": min(sudden_n, slow_n)})
+        if np.isfinite(slow_n):  # else most directions load no monitored joint
+            facts.append({"at": point.name, "slow_n": slow_n, "sudden_n": min(sudden_n, slow_n)})
+    if not facts:
+        return {}
     words = ", ".join(f"from {one['slow_n']:.0f} N at the {one['at']} ({one['sudden_n']:.0f} N)" for one in facts)
     return {
         "places": facts,

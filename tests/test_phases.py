@@ -453,8 +453,11 @@ def test_pushes_that_are_noticed_at_rest_pass_limit_and_friction(arm):
     shown = (k0 / (k0 - leaves) * (np.exp(-leaves * t) - np.exp(-k0 * t))).max()  # of a step through observer and rest
     for name, nm in (("slow_n", LIMITS_NM + hidden_nm), ("sudden_n", np.array(LIMITS_NM) / shown)):
         assert found["places"][0][name] == pytest.approx(np.median(1 / (felt / nm).max(axis=2)), rel=1e-4)
-    assert "joint6" in found["places"][0]["at"] and "at joint4" in found["places"][1]["at"]
-    assert f"from {found['places'][1]['slow_n']:.0f} N at the link of joint3" in found["sentence"]
+    lengths = [np.linalg.norm(link.translation) for link in own.links[1:]]  # of link k, to the joint that it carries
+    forearm = max(np.argsort(lengths)[-2:])  # of the two longest, the farther from the base
+    place = f"link of joint{forearm + 1}, at joint{forearm + 2}"
+    assert "joint6" in found["places"][0]["at"] and found["places"][1]["at"] == place
+    assert f"from {found['places'][1]['slow_n']:.0f} N at the {place}" in found["sentence"]
     assert noticed_standing(own) == {}  # the bundle keeps no poses
 
 

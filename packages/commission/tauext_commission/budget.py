@@ -19,13 +19,12 @@ from tauext.bundle.bundle_file import load_bundle
 from tauext.config import AlarmConfig
 from tauext.errors import ConfigError, TauextError
 from tauext.fit.tail import FalseAlarmBudget, at_most_per_hour, duration, promised_per_hour
+from tauext.train.asked_limits import RAREST_PER_HOUR
 from tauext_commission.history_file import bundle_file
 from tauext_commission.journal import read
 
 BUDGET = "budget"
 """Kind of the journal's line of a chosen budget."""
-RAREST_PER_HOUR = 1e-3
-"""A smaller lower end of an interval is stated as `or rarer`."""
 ALIKE = 1e-6
 """Relative difference up to which two rates are the same."""
 

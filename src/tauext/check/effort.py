@@ -332,8 +332,8 @@ def excitation_findings(x: Examination, least: ExcitationRules = ExcitationRules
         evidence = f"{moving_min:.2g} minutes of motion in {minutes:.2g} minutes"
         advice = (
             f"a friction fit needs {least.friction_min:g} minute of varied motion, a network {least.network_min:g}; "
-            "limits promise at most one false alarm in a third of the time they were found on, here "
-            f"{minutes / 3:.2g} minutes"
+            "limits are proved for one false alarm in a third of the time they were found on, here "
+            f"{minutes / 3:.2g} minutes, and extrapolated beyond"
         )
         if x.moving_s < SEARCH_S:
             advice += f"; order, axes and delay of the torque were not judged: that needs {SEARCH_S:g} s of motion"

@@ -2,9 +2,9 @@ r"""Limits of the budget that was asked for, from whatever motion there is.
 
 The limits of the budget that the motion proves give the shape: how joints and regions compare. One factor on all of
 them then meets the budget asked for. With x the worst ratio of a joint's held error to its limit, its peaks over a
-threshold follow a generalised Pareto distribution (fit/tail.py), whose shape has a prior: dozens of peaks do not tell
-it. Friction of other hours and days multiplies the errors by g, a lognormal factor. Of the draws of both, the factor f
-is the level for which
+threshold follow a generalised Pareto distribution, as those of a joint do in fit/tail.py. Its shape and scale have
+priors, since a few peaks do not determine them. Friction of other hours and days multiplies the errors by g, a
+lognormal factor. Of the draws of both, the factor f is the level for which
 
 .. math:: \operatorname{median}\ \lambda(f / g) = B
 
@@ -156,7 +156,8 @@ def put_asked(bundle: Bundle, motion: LimitMotion, config: AskedConfig = AskedCo
             moment["without_nm"] *= factor
         low, high = worst.between(factor, config.interval)
         if promised is not None and factor * facts.get("minutes_factor", 1.0) >= 1:
-            high = min(high, promised.promise.supported.rate_per_hour)  # the limits are no lower than those proved
+            # The limits are no lower than those that are proved.
+            high = max(min(high, promised.promise.supported.rate_per_hour), asked.rate_per_hour)
         facts["extrapolated"] = {
             "per_hour": asked.rate_per_hour,
             "between_per_hour": [low, high],
@@ -258,7 +259,7 @@ def asked_sentence(asked: FalseAlarmBudget, found: dict, promised: PromisedLimit
 
 
 RAREST_PER_HOUR = 1e-3
-"""Of a smaller rate, `or rarer` is stated."""
+"""A smaller lower end of an interval is stated as `or rarer`."""
 
 
 def rarest(per_hour: float) -> str:

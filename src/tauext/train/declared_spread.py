@@ -19,7 +19,7 @@ from tauext.bundle.estimates import COLLISION
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.fit.tail import duration, upper_rate
-from tauext.train.hits import kept_poses, points, torques
+from tauext.train.hits import end_and_forearm, kept_poses, points, torques
 from tauext.train.wrench import outermost
 
 Contacts = Sequence[tuple[_core.DeclaredContact, int, float]]
@@ -213,7 +213,7 @@ def noticed_standing(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | No
     faster = max(bundle.observer.gain_per_s * STANDS_S, 1.001)
     left = faster ** (-1 / (faster - 1))  # most of a step that the observer shows before it is followed
     ends, facts = points(bundle), []
-    for point in (ends[-1], ends[(len(ends) - 1) // 2]):  # the tool and, of usual arms, the forearm
+    for point in (ends[k] for k in end_and_forearm(ends)):
         felt = np.abs(torques(bundle, q, point))
         with np.errstate(divide="ignore"):
             slow_n, sudden_n = (

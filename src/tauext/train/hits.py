@@ -125,11 +125,20 @@ def hits_of_points(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | None
     return [(point, torques(bundle, q, point).reshape(-1, bundle.joints)) for point in points(bundle)]
 
 
-def noticed_pushes_n(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | None) -> dict[str, float]:
-    """Median push that exceeds a joint's limit of usual sliding motion, at the arm's end and on its forearm, [N].
+def end_and_forearm(ends: Sequence[Point]) -> list[int]:
+    """Indices of the arm's end, and of the forearm's end: of the two longest links the farther from the base.
 
-    The forearm is the farther from the base of the two longest links, and is pushed at its end. A place that no
-    monitored joint feels is left out.
+    Args:
+        ends: see points(); one or more. The last is the arm's end, however far it lies from its joint.
+    """
+    longest = sorted(range(len(ends) - 1), key=lambda k: -float(np.linalg.norm(ends[k].point_m)))[:2]
+    return [len(ends) - 1, *sorted(longest)[-1:]]
+
+
+def noticed_pushes_n(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | None) -> dict[str, float]:
+    """Median push that exceeds a joint's limit of usual sliding motion, at the ends of the arm and its forearm, [N].
+
+    A place that no monitored joint feels is left out.
 
     Args:
         poses: see hits.
@@ -137,11 +146,9 @@ def noticed_pushes_n(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | No
     felt = hits_of_points(bundle, poses)
     if not felt:
         return {}
-    # The last point is the arm's end, which may lie as far from its joint as a link is long.
-    longest = sorted(range(len(felt) - 1), key=lambda k: -float(np.linalg.norm(felt[k][0].point_m)))[:2]
-    places = [("end of the arm", len(felt) - 1), *((felt[k][0].name, k) for k in longest if k == max(longest))]
     limits, found = np.array(bundle.sliding_limit_nm), dict[str, float]()
-    for place, k in places:
+    for k in end_and_forearm([point for point, _ in felt]):
+        place = "end of the arm" if k == len(felt) - 1 else felt[k][0].name
         torques_nm = np.abs(felt[k][1])
         torques_nm = torques_nm[torques_nm.max(axis=1) > LEAST_LEVER_M]
         if len(torques_nm) and np.isfinite(limits).any():

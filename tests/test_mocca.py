@@ -49,11 +49,17 @@ def test_the_authors_network_errs_as_in_a_rebuild_by_hand(segments, dataset, tmp
 
 @present
 @pytest.mark.slow
-def test_recipe_prior_detects_the_ten_collisions_of_left_out_segments(segments, dataset, tmp_path):
-    tested, _ = mocca.held_out(segments, dataset, "prior", "exact", 20.0, tmp_path)
-    assert tested.collisions == 10 and len(tested.delays_s) == 10
-    # From a minute of motion the prior has 0.77/0.36 N m, the authors' early network 0.54/0.42 on the same rows.
-    assert (np.concatenate(tested.errors).mean(axis=0) < [0.9, 0.45]).all()
+@pytest.mark.parametrize(("gain_per_s", "fewest", "most_nm"), [(None, 10, (1.2, 0.6)), (20.0, 9, (0.9, 0.45))])
+def test_recipe_prior_detects_the_collisions_of_left_out_segments(
+    segments, dataset, tmp_path, gain_per_s, fewest, most_nm
+):
+    """At the gain that the recipe chooses and at the paper's, by limits for 1 in 8 h from a minute of motion."""
+    tested, _ = mocca.held_out(segments, dataset, "prior", "exact", gain_per_s, tmp_path)
+    assert tested.collisions == 10 and len(tested.delays_s) >= fewest
+    assert tested.false_alarms <= 1
+    # From a minute of motion the prior has 0.97/0.48 N m at the chosen gain, which passes more noise, and 0.77/0.36 at
+    # the paper's, the authors' early network 0.54/0.42 on the same rows.
+    assert (np.concatenate(tested.errors).mean(axis=0) < most_nm).all()
 
 
 @pytest.mark.parametrize(

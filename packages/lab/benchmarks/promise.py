@@ -214,7 +214,7 @@ def consecutive(files: Sequence[Path], seconds: float, rng: np.random.Generator)
 
 def row_of_data(out: Path, data: Path, minutes: float, seed: int, piece_s: float) -> dict:
     """The row of one split, kept in OUT."""
-    name = data.parent.name if data.name == "urdf" else data.name
+    name = data.parent.name if data.name in ("urdf", "data") else data.name
 
     def make() -> dict:
         dataset = load_dataset(data)

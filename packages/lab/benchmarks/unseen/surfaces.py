@@ -8,8 +8,10 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tauext import _core
+from tauext.robot.mesh_files import MeshFinder
 from tauext.robot.read import load_tree, placed_bodies
 
 
@@ -67,23 +69,52 @@ class Triangles:
 STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("kind", "<u2")])
 
 
-def triangles_of(model: Path, joints: Sequence[str]) -> tuple[Triangles, ...]:
-    """The binary STL files that a URDF's links collide as, found in the folders above the file. Their origins must be
-    those of the links."""
-    links = {one.get("name"): one for one in ElementTree.parse(model).getroot().findall("link")}
-    found = []
-    for body in placed_bodies(model, load_tree(model, joints=list(joints)))[2]:
-        for shape in links[body.name].findall("collision") if body.name in links else []:
-            mesh, origin = shape.find("geometry/mesh"), shape.find("origin")
+def corners_of(file: Path) -> np.ndarray:
+    """Triangles (n, 3, 3) of a binary STL or an OBJ file."""
+    if file.suffix.lower() == ".stl":
+        return np.frombuffer(file.read_bytes()[84:], STL)["corners"].astype(float)
+    assert file.suffix.lower() == ".obj", file
+    lines = [line.split() for line in file.read_text().splitlines() if line.strip()]
+    points = np.array([line[1:4] for line in lines if line[0] == "v"], dtype=float)
+    faces = [[int(one.split("/")[0]) for one in line[1:]] for line in lines if line[0] == "f"]
+    return points[[[face[0] - 1, face[k] - 1, face[k + 1] - 1] for face in faces for k in range(1, len(face) - 1)]]
+
+
+def meshes_of(model: Path, finder: MeshFinder) -> dict[str, np.ndarray]:
+    """Triangles (n, 3, 3) of the links that are meshes alone, by link, in the links' axes.
+
+    Raises:
+        OSError, ValueError: a mesh is missing, or in a format that is not read.
+    """
+    found = {}
+    for link in ElementTree.parse(model).getroot().findall("link"):
+        shapes = link.findall("collision") or link.findall("visual")
+        meshes = [shape.find("geometry/mesh") for shape in shapes]
+        parts = []
+        for shape, mesh in zip(shapes, meshes, strict=True):
             if mesh is None:
-                continue
-            moved = "" if origin is None else f"{origin.get('xyz', '')} {origin.get('rpy', '')}"
-            assert not any(float(number) for number in moved.split()), f"{body.name}: its mesh is moved"
-            inside = mesh.get("filename", "").removeprefix("package://")
-            file = next(folder / inside for folder in model.resolve().parents if (folder / inside).is_file())
-            corners = np.frombuffer(file.read_bytes()[84:], STL)["corners"].astype(float)
-            found.append(Triangles(body.link, corners @ body.rotation.T + body.translation))
-    return tuple(found)
+                break
+            origin = shape.find("origin")
+            place = {} if origin is None else origin.attrib
+            at, turned = (np.array(place.get(key, "0 0 0").split(), dtype=float) for key in ("xyz", "rpy"))
+            scaled = corners_of(finder.find(mesh.get("filename", ""))) * np.array(
+                mesh.get("scale", "1 1 1").split(), dtype=float
+            )
+            parts.append(scaled @ Rotation.from_euler("xyz", turned).as_matrix().T + at)
+        if parts and len(parts) == len(shapes):
+            found[link.get("name", "")] = np.concatenate(parts)
+    return found
+
+
+def triangles_of(model: Path, joints: Sequence[str]) -> tuple[Triangles, ...]:
+    """The meshes that a URDF's moving links collide as, found in the folders above the file."""
+    meshes = meshes_of(model, MeshFinder(model))
+    bodies = placed_bodies(model, load_tree(model, joints=list(joints)))[2]
+    return tuple(
+        Triangles(body.link, meshes[body.name] @ body.rotation.T + body.translation)
+        for body in bodies
+        if body.name in meshes
+    )
 
 
 def capsules_of(surface: tuple[Cylinder, ...]) -> list[_core.Capsule]:

@@ -292,7 +292,7 @@ def test_a_mesh_that_is_a_capsule_becomes_that_capsule(tmp_path):
 @pytest.mark.parametrize(
     ("name", "content", "note"),
     [
-        ("a.stl", stl(np.zeros((4, 3, 3))), "a.stl is no mesh that can be read"),
+        ("a.stl", stl(np.zeros((4, 3, 3))), "a.stl has no surface"),
         ("a.stl", stl(TUBE * np.nan), "a.stl is no mesh that can be read"),
         ("a.stl", stl(TUBE)[:-60], "a.stl is no mesh that can be read"),
         ("a.stl", stl(TUBE[:0]), "a.stl is no mesh that can be read"),

@@ -13,8 +13,7 @@ bundles, links.json and links.md.
 labels and the robot's own estimate; panda/bundles). Links are found by the bundle of recipe observer, with the standard
 error of its own limits; by the robot's own estimate, with that of its samples without a touch.
 
---shapes: how well the capsules of these robot files' links fit their meshes, which are read here without MuJoCo. OUT
-gets shapes.json and shapes.md.
+--shapes: how well the capsules of these robot files' links fit their meshes. OUT gets shapes.json and shapes.md.
 """
 
 from __future__ import annotations

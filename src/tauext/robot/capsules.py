@@ -1,4 +1,4 @@
-"""Shapes of links: capsules fitted to the robot file's collision geometry. MuJoCo reads shapes and meshes."""
+"""Shapes of links: capsules fitted to the robot file's collision geometry."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from tauext.errors import RobotError
 from tauext.files.plain_file import FORMAT
 from tauext.files.provenance import write_json
 from tauext.robot.mesh_files import MeshFinder, MeshFolders, MissingMeshError
+from tauext.robot.mesh_triangles import triangles_of
 from tauext.robot.read import compiled, placed_bodies
 from tauext.robot.urdf import numbers_of, origin_of
 from tauext.robot.write import PAYLOAD
@@ -50,6 +51,11 @@ def geom_capsules(model: mujoco.MjModel, geom: int) -> list[Ends]:
         corners = primitive_triangles(kind, size) @ axes.T + middle
     else:
         return []
+    return mesh_capsules(corners, axes)
+
+
+def mesh_capsules(corners: np.ndarray, axes: np.ndarray) -> list[Ends]:
+    """Capsules of triangles (n, 3, 3), whose first box is along the columns of axes (3, 3)."""
     return split(near_points(drawn_points(corners)), axes)
 
 
@@ -204,8 +210,8 @@ def urdf_capsules(
         name = link.get("name", "")
         for element in link.findall("collision") or link.findall("visual") if name in bodies else ():
             try:
-                model = _element_model(file, element, meshes)
-                found.setdefault(name, []).extend(geom_capsules(model, 0) if model is not None else [])
+                capsules = _element_capsules(file, element, meshes)
+                found.setdefault(name, []).extend(capsules)
             except (OSError, ValueError, RobotError) as error:
                 lost.links.setdefault(" ".join(str(error).split()), []).append(name)
                 if isinstance(error, MissingMeshError):
@@ -213,14 +219,22 @@ def urdf_capsules(
     return found, lost
 
 
-def _element_model(file: XmlFile, element: ElementTree.Element, meshes: MeshFinder) -> mujoco.MjModel | None:
-    """MuJoCo's model of a collision or visual element; None: it has no shape."""
+def _element_capsules(file: XmlFile, element: ElementTree.Element, meshes: MeshFinder) -> list[Ends]:
+    """Capsules of a collision or visual element; none if it has no shape."""
     geometry = element.find("geometry")
     if geometry is None or not len(geometry):
-        return None
+        return []
     shape, kinds, what = geometry[0], mujoco.mjtGeom, f"<{element.tag}>"
-    spec = mujoco.MjSpec()
     position, quaternion = origin_of(file, element, what)
+    if shape.tag == "mesh":
+        path, axes = meshes.find(shape.get("filename", "")), _rotation(quaternion / np.linalg.norm(quaternion))
+        scale = numbers_of(file, shape, "scale", path.name, 3, [1.0] * 3)
+        corners = triangles_of(path) * scale @ axes.T + position
+        try:
+            return mesh_capsules(corners, axes)
+        except ValueError as error:
+            raise ValueError(f"{path.name} {error}") from error
+    spec = mujoco.MjSpec()
     geom = spec.worldbody.add_geom(pos=position, quat=quaternion, contype=0, conaffinity=0)
     match shape.tag:
         case "sphere":
@@ -231,17 +245,10 @@ def _element_model(file: XmlFile, element: ElementTree.Element, meshes: MeshFind
             geom.size[1] = numbers_of(file, shape, "length", what)[0] / 2
         case "box":
             geom.type, geom.size = kinds.mjGEOM_BOX, np.array(numbers_of(file, shape, "size", what, 3)) / 2
-        case "mesh":
-            path = meshes.find(shape.get("filename", ""))
-            what = path.name
-            scale = numbers_of(file, shape, "scale", what, 3, [1.0] * 3)
-            shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-            spec.add_mesh(name="one", file=str(path), scale=scale, inertia=shell)
-            geom.type, geom.meshname = kinds.mjGEOM_MESH, "one"
         case _:
-            return None
+            return []
     try:
-        return spec.compile()
+        return geom_capsules(spec.compile(), 0)
     except (ValueError, mujoco.FatalError) as error:
         raise ValueError(f"{what} is no {shape.tag} that can be read") from error
 

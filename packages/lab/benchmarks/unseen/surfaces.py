@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tauext import _core
+from tauext.robot import mesh_triangles
 from tauext.robot.mesh_files import MeshFinder
 from tauext.robot.read import load_tree, placed_bodies
 
@@ -66,25 +67,11 @@ class Triangles:
         return np.array([u, v - u, 1 - v]) @ self._corners[at], self._inwards[at]
 
 
-STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("kind", "<u2")])
-
-
-def corners_of(file: Path) -> np.ndarray:
-    """Triangles (n, 3, 3) of a binary STL or an OBJ file."""
-    if file.suffix.lower() == ".stl":
-        return np.frombuffer(file.read_bytes()[84:], STL)["corners"].astype(float)
-    assert file.suffix.lower() == ".obj", file
-    lines = [line.split() for line in file.read_text().splitlines() if line.strip()]
-    points = np.array([line[1:4] for line in lines if line[0] == "v"], dtype=float)
-    faces = [[int(one.split("/")[0]) for one in line[1:]] for line in lines if line[0] == "f"]
-    return points[[[face[0] - 1, face[k] - 1, face[k + 1] - 1] for face in faces for k in range(1, len(face) - 1)]]
-
-
 def meshes_of(model: Path, finder: MeshFinder) -> dict[str, np.ndarray]:
     """Triangles (n, 3, 3) of the links that are meshes alone, by link, in the links' axes.
 
     Raises:
-        OSError, ValueError: a mesh is missing, or in a format that is not read.
+        OSError, ValueError: a mesh is missing or cannot be read.
     """
     found = {}
     for link in ElementTree.parse(model).getroot().findall("link"):
@@ -97,10 +84,9 @@ def meshes_of(model: Path, finder: MeshFinder) -> dict[str, np.ndarray]:
             origin = shape.find("origin")
             place = {} if origin is None else origin.attrib
             at, turned = (np.array(place.get(key, "0 0 0").split(), dtype=float) for key in ("xyz", "rpy"))
-            scaled = corners_of(finder.find(mesh.get("filename", ""))) * np.array(
-                mesh.get("scale", "1 1 1").split(), dtype=float
-            )
-            parts.append(scaled @ Rotation.from_euler("xyz", turned).as_matrix().T + at)
+            scale = np.array(mesh.get("scale", "1 1 1").split(), dtype=float)
+            corners = mesh_triangles.triangles_of(finder.find(mesh.get("filename", "")))
+            parts.append(scale * corners @ Rotation.from_euler("xyz", turned).as_matrix().T + at)
         if parts and len(parts) == len(shapes):
             found[link.get("name", "")] = np.concatenate(parts)
     return found

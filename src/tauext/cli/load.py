@@ -196,8 +196,8 @@ def weigh(bundle: Bundle, where: NamedFrame, parts: list[WeighedMotion], reach_m
         return
     for line in load_sentences(found, where.name, unit):
         print(line)
-    if errors and (line := constants_sentence(bundle, found, errors)):
-        print(line)
+    if errors and (cause := constants_sentence(bundle, found, errors)):
+        print(cause)
     if left_out:
         print(f"not used: {', '.join(left_out)}, whose torque constants are not known")
     if len(alone) > 1:

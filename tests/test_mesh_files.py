@@ -158,16 +158,16 @@ def test_an_mjcf_has_its_own_folder_of_meshes(tmp_path):
 
 
 def test_a_format_that_is_not_read_is_named_and_a_readable_file_of_its_name_used(tmp_path):
-    path = arm(tmp_path / "mine", "package://some_arm/meshes/visual/tube.dae")
+    path = arm(tmp_path / "mine", "package://some_arm/meshes/visual/tube.ply")
     (_, (missing,)) = link_capsules(path, load_tree(path))
-    assert "there is no mesh file package://some_arm/meshes/visual/tube.dae" in missing
+    assert "there is no mesh file package://some_arm/meshes/visual/tube.ply" in missing
     meshes = tmp_path / "mine/some_arm/meshes"
     (meshes / "visual").mkdir(parents=True)
-    (meshes / "visual/tube.dae").write_text("<COLLADA/>")
+    (meshes / "visual/tube.ply").write_text("ply")
     (capsules, (note,)) = link_capsules(path, load_tree(path))
     assert capsules == [] and note == (
-        "shapes of upper could not be read: package://some_arm/meshes/visual/tube.dae: meshes are read from .stl, "
-        ".obj, .msh; put tube.stl or tube.obj beside it or in ../collision"
+        "shapes of upper could not be read: package://some_arm/meshes/visual/tube.ply: meshes are read from .stl, "
+        ".obj, .dae, .msh; put tube.stl or tube.obj beside it or in ../collision"
     )
     put(meshes / "collision/tube.STL", 0.06)
     assert radius_m(path) == pytest.approx(0.06, rel=0.1)

@@ -3,6 +3,7 @@
     python packages/lab/benchmarks/links.py MODELS UNSEEN OUT [--arms panda kinova seven_axis]
       [--meshes panda=ROBOT ...] [--touches 200] [--seed 0]
     python packages/lab/benchmarks/links.py MODELS UNSEEN OUT --panda DATASET BUNDLES [--meshes panda=ROBOT]
+    python packages/lab/benchmarks/links.py MODELS UNSEEN OUT --shapes ROBOT ...
 
 MODELS: folder of the robot files. UNSEEN: what unseen_arms.py wrote; a bundle is trained on each arm's datasets where
 OUT has none. ROBOT: the arm's robot file with its meshes in the folders above: touches on the meshes, too. OUT gets the
@@ -11,6 +12,8 @@ bundles, links.json and links.md.
 --panda: recordings of a Panda at rest and bundles, as real_arms.py makes them (panda/data, a file a touched link with
 labels and the robot's own estimate; panda/bundles). Links are found by the bundle of recipe observer, with the standard
 error of its own limits; by the robot's own estimate, with that of its samples without a touch.
+
+--shapes: how well the capsules of these robot files' links fit their meshes. OUT gets shapes.json and shapes.md.
 """
 
 from __future__ import annotations
@@ -30,13 +33,14 @@ from made_live import replay
 from unseen.arms import Maker, arm_of, makers
 from unseen.recordings import logged, nm_per_given
 from unseen.simulation import RATE_HZ, Contact, draw_motion, simulate
-from unseen.surfaces import SURFACES, Cylinder, Triangles, capsules_of, draw_touch, triangles_of
+from unseen.surfaces import SURFACES, Cylinder, Triangles, capsules_of, draw_touch, meshes_of, triangles_of
 
 from tauext import _core
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.monitor.touch_place import STATED, PlaceChange, PlaceFinder, run_of
-from tauext.robot.capsules import link_capsules
+from tauext.robot.capsules import Ends, body_capsules, even_directions, link_capsules
+from tauext.robot.mesh_files import MeshFinder
 from tauext.robot.read import load_tree
 
 GIVEN, GUESSED, THIN, MESHES = "given", "guessed", "5 cm capsules", "meshes"
@@ -295,12 +299,82 @@ def tables(rows: list[dict]) -> list[str]:
     return lines
 
 
+# --- How well capsules fit the meshes of robot files.
+
+
+def shape_rows(robot: Path) -> list[dict]:
+    """One row a link that is made of meshes: extents, and largest distances outside each other, [m]."""
+    fitted = body_capsules(robot)
+    try:
+        meshes = meshes_of(robot, MeshFinder(robot))
+    except (OSError, ValueError) as error:
+        return [{"robot": robot.stem, "link": link, "guessed": str(error)} for link in fitted.lost]
+    rows: list[dict] = []
+    for link, corners in meshes.items():
+        ends = fitted.bodies.get(link, [])
+        guessed = link in fitted.lost or not ends
+        fit = {"guessed": fitted.notes[0] if fitted.notes else "no shape"} if guessed else misfit(corners, ends)
+        rows.append({"robot": robot.stem, "link": link} | fit)
+    return rows
+
+
+def misfit(corners: np.ndarray, capsules: Sequence[Ends], drawn: int = 3000) -> dict:
+    """Compares the mesh (n, 3, 3), its convex hull and the capsules, [m]."""
+    surface, rng = Triangles(0, corners), np.random.default_rng(0)
+    points = np.array([surface.draw(rng)[0] for _ in range(drawn)])
+    directions, whole = even_directions(3000), corners.reshape(-1, 3)
+    hull = (whole @ directions.T).max(axis=0)
+    reach = np.array([np.max(np.array(one[:2]) @ directions.T, axis=0) for one in capsules])
+    radius = np.array([one[2] for one in capsules])[:, None]
+    off = np.min([distance_m(points, *one) for one in capsules], axis=0)
+    return {
+        "capsules": len(capsules),
+        "mesh_m": float(np.linalg.norm(whole, axis=1).max()),
+        "shape_m": float(max(np.linalg.norm(end) + one[2] for one in capsules for end in one[:2])),
+        "ends_outside_m": float(max((reach - hull).max(), 0)),
+        "surface_outside_m": float(max((reach + radius - hull).max(), 0)),
+        "mesh_outside_m": float(max(off.max(), 0)),
+        "rms_m": float(np.sqrt(np.mean(off**2))),
+    }
+
+
+def distance_m(points: np.ndarray, start: list[float], end: list[float], radius: float) -> np.ndarray:
+    """Of points (n, 3) from a capsule's surface, negative inside, (n,)."""
+    way = np.subtract(end, start)
+    along = np.clip((points - start) @ way / max(way @ way, 1e-12), 0, 1)
+    return np.linalg.norm(points - start - along[:, None] * way, axis=1) - radius
+
+
+def shape_tables(rows: list[dict], worst: int = 8) -> list[str]:
+    """By robot, then the links whose capsules are farthest outside."""
+    lines = head(
+        "robot | links | guessed | capsules | ends outside, cm | surface outside, cm | mesh outside, cm | RMS, cm"
+    )
+    keys = ("ends_outside_m", "surface_outside_m", "mesh_outside_m", "rms_m")
+    for robot in [*dict.fromkeys(row["robot"] for row in rows), "**all**"]:
+        of = [row for row in rows if robot in (row["robot"], "**all**")]
+        seen = [row for row in of if "guessed" not in row]
+        largest = [f"{100 * max((row[key] for row in seen), default=np.nan):.1f}" for key in keys]
+        lines.append(table_row(robot, len(of), len(of) - len(seen), sum(row["capsules"] for row in seen), *largest))
+    lines += ["", *head("robot, link | mesh ends, cm | shape ends, cm | surface outside, cm | mesh outside, cm")]
+    seen = [row for row in rows if "guessed" not in row]
+    for row in sorted(seen, key=lambda row: -row["surface_outside_m"])[:worst]:
+        numbers = (f"{100 * row[key]:.1f}" for key in ("mesh_m", "shape_m", *keys[1:3]))
+        lines.append(table_row(f"{row['robot']}, {row['link']}", *numbers))
+    return lines
+
+
 def main() -> None:
     parser = arguments(__doc__, "models", "unseen", "out", arms=("panda", "kinova", "seven_axis"), seed=0)
     parser.add_argument("--meshes", nargs="+", default=[], help="robot files with meshes, each as ARM=FILE")
     parser.add_argument("--touches", type=int, default=200, help="an arm")
     parser.add_argument("--panda", type=Path, nargs=2, metavar=("DATASET", "BUNDLES"), help="the Panda at rest alone")
+    parser.add_argument("--shapes", type=Path, nargs="+", metavar="ROBOT", help="robot files with meshes, alone")
     options = parser.parse_args()
+    if options.shapes:
+        rows = [row for robot in options.shapes for row in shape_rows(robot)]
+        write_tables(options.out, shape_tables(rows), short(rows), "shapes")
+        return
     robots = {name: Path(model) for name, _, model in (one.partition("=") for one in options.meshes)}
     if options.panda:
         rows = panda_rows(*options.panda, robots.get("panda"))

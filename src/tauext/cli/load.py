@@ -172,19 +172,32 @@ def load(
 
 def weigh(bundle: Bundle, where: NamedFrame, parts: list[WeighedMotion], reach_m: float, as_json: bool) -> None:
     """Print the load from all of the motion, and from each window alone."""
-    from tauext.monitor.weighing import each_window, found_facts, identify, load_sentences, mass_words, weighing_joints
+    from tauext.monitor.weighing import (
+        constants_errors,
+        constants_sentence,
+        each_window,
+        found_facts,
+        identify,
+        load_sentences,
+        mass_words,
+        weighing_joints,
+    )
 
     found = identify(bundle, where, parts, reach_m)
     alone = each_window(bundle, where, parts, found) if found.verdict == "load" else []
     unit = bundle.estimate_units[int(weighing_joints(bundle).argmax())]
     left_out = not_used(bundle)
+    errors = constants_errors(bundle, where, parts, found) if found.verdict == "load" and found.mass_seen else {}
     if as_json:
         windows = [{"recording": name, "from_s": start} | found_facts(own) for name, start, own in alone]
-        facts = {"frame": where.name, "unit": unit, "left_out": left_out} | found_facts(found) | {"windows": windows}
+        facts = {"frame": where.name, "unit": unit, "left_out": left_out} | found_facts(found)
+        facts |= {"constants_errors_kg": errors, "windows": windows}
         print(json.dumps(facts, indent=1))
         return
     for line in load_sentences(found, where.name, unit):
         print(line)
+    if errors and (cause := constants_sentence(bundle, found, errors)):
+        print(cause)
     if left_out:
         print(f"not used: {', '.join(left_out)}, whose torque constants are not known")
     if len(alone) > 1:

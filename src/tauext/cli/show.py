@@ -131,9 +131,8 @@ def describe_bundle(file: Path) -> Content:
     if not isinstance(facts, dict):
         raise TypeError("it is no object")
 
-    load, shaped = bundle.load_settings, {one.link for one in bundle.capsules}
+    load = bundle.load_settings
     set_to = {"frame": load.frame, "largest_kg": load.largest_mass_kg, "reach_m": load.largest_reach_m}
-    guessed = [name for number, name in enumerate(names) if number not in shaped]
     period_s = bundle.observer.sample_period_ns * 1e-9
     content: Content = {
         "bundle": bundle.name,
@@ -148,7 +147,7 @@ def describe_bundle(file: Path) -> Content:
         "prior": None,
         **describe_limits(bundle, names),
         "load": set_to if load.settable else {"refused": load.refused},
-        "shapes_of_links": {"capsules": len(bundle.capsules), "links": len(shaped), "guessed": guessed},
+        "shapes_of_links": describe_shapes(bundle, names, facts.get("shapes", {}).get("notes", [])),
         "reference": "replayed, equal",
         "provenance": facts,
     }
@@ -172,6 +171,26 @@ def describe_bundle(file: Path) -> Content:
     content |= describe_servo(bundle, names) | describe_drift(bundle, names) | describe_coverage(bundle, names)
     if found := situations(bundle):
         content["situations"] = found
+    return content
+
+
+def describe_shapes(bundle: Bundle, names: list[str], notes: Sequence[str], beyond_m: float = 1.0) -> Content:
+    """Which links have capsules, which are guessed and why, and which have capsules that no link of this arm has.
+
+    Args:
+        notes: of the training, on shapes that could not be read.
+        beyond_m: no shape reaches farther from its joint than all joints' distances and this together, [m].
+    """
+    links = sorted({one.link for one in bundle.capsules})
+    guessed = [name for number, name in enumerate(names) if number not in links]
+    content: Content = {"capsules": len(bundle.capsules), "links": len(links), "guessed": guessed}
+    if guessed:
+        content["why_guessed"] = notes[0] if notes else "the robot file has no geometry for them"
+    most = beyond_m + sum(math.hypot(*link.translation) for link in bundle.links)
+    reach = {one.link for one in bundle.capsules if max(math.hypot(*one.start), math.hypot(*one.end)) > most}
+    if reach and not any(link.type.name == "prismatic" for link in bundle.links):  # a rail is as long as its travel
+        far = ", ".join(names[link] for link in sorted(reach))
+        content["too_far"] = f"{far} by more than {most:.2g} m from the joint: import the data and train again"
     return content
 
 

@@ -73,7 +73,11 @@ def one_factor(known: KnownWeight) -> bool:
 def with_provenance(bundle: _core.Bundle, known: KnownWeight, mass_kg: float, recordings: list[str]) -> dict:
     """Store the source of the constants in the bundle and return it as facts."""
     facts = json.loads(bundle.provenance or "{}")
+    joints = [link.joint_name for link in bundle.links]
+    relative = zip(known.factors / known.common, known.errors / known.factors, strict=True)
+    own = dict(zip(joints, ([float(one) for one in pair] for pair in relative), strict=True))
     facts["known_weight"] = {
+        "joints": {name: pair for (name, pair), shows in zip(own.items(), known.shows, strict=True) if shows},
         "mass_kg": mass_kg,
         "factor": known.common,
         "standard_error": known.common_error,

@@ -1,4 +1,4 @@
-"""Shapes of links: capsules fitted to the robot file's collision geometry. MuJoCo reads shapes and meshes."""
+"""Shapes of links: capsules fitted to the robot file's collision geometry."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from tauext.errors import RobotError
 from tauext.files.plain_file import FORMAT
 from tauext.files.provenance import write_json
 from tauext.robot.mesh_files import MeshFinder, MeshFolders, MissingMeshError
+from tauext.robot.mesh_triangles import triangles_of
 from tauext.robot.read import compiled, placed_bodies
 from tauext.robot.urdf import numbers_of, origin_of
 from tauext.robot.write import PAYLOAD
@@ -50,7 +51,12 @@ def geom_capsules(model: mujoco.MjModel, geom: int) -> list[Ends]:
         corners = primitive_triangles(kind, size) @ axes.T + middle
     else:
         return []
-    return split(drawn_points(corners), axes)
+    return mesh_capsules(corners, axes)
+
+
+def mesh_capsules(corners: np.ndarray, axes: np.ndarray) -> list[Ends]:
+    """Capsules of triangles (n, 3, 3), whose first box is along the columns of axes (3, 3)."""
+    return split(near_points(drawn_points(corners)), axes)
 
 
 def _rotation(quaternion: np.ndarray) -> np.ndarray:
@@ -59,15 +65,21 @@ def _rotation(quaternion: np.ndarray) -> np.ndarray:
     return flat.reshape(3, 3)
 
 
-def primitive_triangles(kind: int, size: np.ndarray, count: int = 1000) -> np.ndarray:
-    """Triangles (n, 3, 3) of a box, cylinder or ellipsoid about the origin: an even sphere, stretched onto it."""
+def even_directions(count: int) -> np.ndarray:
+    """Unit vectors (count, 3), spread evenly over the sphere by the golden angle."""
     z = 1 - (2 * np.arange(count) + 1) / count
     turned, flat = np.pi * (1 + 5**0.5) * np.arange(count), np.sqrt(1 - z**2)
-    points = np.column_stack([flat * np.cos(turned), flat * np.sin(turned), z])
+    return np.column_stack([flat * np.cos(turned), flat * np.sin(turned), z])
+
+
+def primitive_triangles(kind: int, size: np.ndarray, count: int = 1000) -> np.ndarray:
+    """Triangles (n, 3, 3) of a box, cylinder or ellipsoid about the origin: an even sphere, stretched onto it."""
+    points = even_directions(count)
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         points /= np.abs(points).max(axis=1, keepdims=True)
     elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        points, size = points / np.maximum(flat, np.abs(z))[:, None], size[[0, 0, 1]]
+        flat, z = np.linalg.norm(points[:, :2], axis=1), np.abs(points[:, 2])
+        points, size = points / np.maximum(flat, z)[:, None], size[[0, 0, 1]]
     return (points * size)[ConvexHull(points).simplices]
 
 
@@ -80,6 +92,16 @@ def drawn_points(corners: np.ndarray, count: int = 600) -> np.ndarray:
     rng = np.random.default_rng(0)
     drawn = corners[rng.choice(len(corners), count, p=areas / areas.sum())]
     return np.asarray(np.einsum("nk,nkx->nx", rng.dirichlet((1, 1, 1), count), drawn))
+
+
+def near_points(points: np.ndarray, share: float = 0.97, beyond: float = 1.25) -> np.ndarray:
+    """The points of a surface (n, 3) without the few that are far from all others, as triangles to a stray vertex are.
+
+    Args:
+        share, beyond: a point is far if it is this many times as far from the median point as this share of all points.
+    """
+    away = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    return points[away <= beyond * np.quantile(away, share)]
 
 
 def split(
@@ -111,29 +133,32 @@ def fitted(points: np.ndarray, axes: np.ndarray, margin: float = 0.1) -> tuple[E
     """The capsule in the box of the points, and the RMS distance of the points from its surface.
 
     The box is along `axes`, or along the points' principal axes where that fits better. The capsule runs along the
-    longest side, as thick as the mean of the other two, and leaves the box along `axes` by no more than the margin.
+    longest side, as thick as the mean of the other two. It shrinks towards the points' mean until it leaves their
+    convex hull by no more than the margin.
 
     Args:
-        margin: share of the box's diagonal. More lets flat shapes be thicker than they are.
+        margin: share of the diagonal of the box along `axes`. More lets flat shapes be thicker than they are.
     """
-    low, high = (points @ axes).min(axis=0), (points @ axes).max(axis=0)
-    most = margin * float(np.linalg.norm(high - low))
+    most = margin * float(np.linalg.norm(np.ptp(points @ axes, axis=0)))
+    directions, centre = even_directions(400), points.mean(axis=0)
+    allowed = (directions @ (points - centre).T).max(axis=1) + most
     found: list[tuple[float, Ends]] = []
     for frame in (axes, np.linalg.eigh(np.cov(points.T))[1]):
         at = points @ frame
         half, middle = np.ptp(at, axis=0) / 2, (at.min(axis=0) + at.max(axis=0)) / 2
         least, between, longest = np.sort(half)
-        radius = max(min((least + between) / 2, least + most), 1e-3)  # a bundle has no thinner ones
-        reach = np.where(np.arange(3) == half.argmax(), max(longest - radius, 0.0), 0.0)
-        start, end = frame @ (middle - reach), frame @ (middle + reach)
-        along, way = np.stack([start, end]) @ axes, end - start
-        if found and max((low - along + radius).max(), (along + radius - high).max()) > most:
-            continue
-        share = np.clip((points - start) @ way / max(float(way @ way), 1e-12), 0, 1)
-        off = np.linalg.norm(points - start - share[:, None] * way, axis=1) - radius
+        radius = min((least + between) / 2, least + most)
+        reach = np.where(np.arange(3) == half.argmax(), longest - radius, 0.0)
+        ends = np.stack([middle - reach, middle + reach]) @ frame.T - centre
+        taken = (ends @ directions.T).max(axis=0) + radius
+        share = min(1.0, float((allowed / np.maximum(taken, 1e-9)).min()))
+        (start, end), radius = centre + share * ends, max(share * radius, 1e-3)  # a bundle has no thinner ones
+        way = end - start
+        along = np.clip((points - start) @ way / max(float(way @ way), 1e-12), 0, 1)
+        off = np.linalg.norm(points - start - along[:, None] * way, axis=1) - radius
         found.append((float(np.sqrt(np.mean(off**2))), (start.tolist(), end.tolist(), float(radius))))
-    rms, ends = min(found, key=lambda one: one[0])
-    return ends, rms
+    rms, best = min(found, key=lambda one: one[0])
+    return best, rms
 
 
 def body_geoms(model: mujoco.MjModel, body: int) -> list[int]:
@@ -185,10 +210,7 @@ def urdf_capsules(
         name = link.get("name", "")
         for element in link.findall("collision") or link.findall("visual") if name in bodies else ():
             try:
-                model = _element_model(file, element, meshes)
-                capsules = geom_capsules(model, 0) if model is not None else []
-                if (far := max((abs(x) for start, end, r in capsules for x in (*start, *end, r)), default=0)) > 10:
-                    raise ValueError(f"a shape reaches {far:.3g} m: a mesh in mm needs scale = 0.001")
+                capsules = _element_capsules(file, element, meshes)
                 found.setdefault(name, []).extend(capsules)
             except (OSError, ValueError, RobotError) as error:
                 lost.links.setdefault(" ".join(str(error).split()), []).append(name)
@@ -197,14 +219,22 @@ def urdf_capsules(
     return found, lost
 
 
-def _element_model(file: XmlFile, element: ElementTree.Element, meshes: MeshFinder) -> mujoco.MjModel | None:
-    """MuJoCo's model of a collision or visual element; None: it has no shape."""
+def _element_capsules(file: XmlFile, element: ElementTree.Element, meshes: MeshFinder) -> list[Ends]:
+    """Capsules of a collision or visual element; none if it has no shape."""
     geometry = element.find("geometry")
     if geometry is None or not len(geometry):
-        return None
+        return []
     shape, kinds, what = geometry[0], mujoco.mjtGeom, f"<{element.tag}>"
-    spec = mujoco.MjSpec()
     position, quaternion = origin_of(file, element, what)
+    if shape.tag == "mesh":
+        path, axes = meshes.find(shape.get("filename", "")), _rotation(quaternion / np.linalg.norm(quaternion))
+        scale = numbers_of(file, shape, "scale", path.name, 3, [1.0] * 3)
+        corners = triangles_of(path) * scale @ axes.T + position
+        try:
+            return mesh_capsules(corners, axes)
+        except ValueError as error:
+            raise ValueError(f"{path.name} {error}") from error
+    spec = mujoco.MjSpec()
     geom = spec.worldbody.add_geom(pos=position, quat=quaternion, contype=0, conaffinity=0)
     match shape.tag:
         case "sphere":
@@ -215,17 +245,10 @@ def _element_model(file: XmlFile, element: ElementTree.Element, meshes: MeshFind
             geom.size[1] = numbers_of(file, shape, "length", what)[0] / 2
         case "box":
             geom.type, geom.size = kinds.mjGEOM_BOX, np.array(numbers_of(file, shape, "size", what, 3)) / 2
-        case "mesh":
-            path = meshes.find(shape.get("filename", ""))
-            what = path.name
-            scale = numbers_of(file, shape, "scale", what, 3, [1.0] * 3)
-            shell = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-            spec.add_mesh(name="one", file=str(path), scale=scale, inertia=shell)
-            geom.type, geom.meshname = kinds.mjGEOM_MESH, "one"
         case _:
-            return None
+            return []
     try:
-        return spec.compile()
+        return geom_capsules(spec.compile(), 0)
     except (ValueError, mujoco.FatalError) as error:
         raise ValueError(f"{what} is no {shape.tag} that can be read") from error
 
@@ -260,11 +283,33 @@ def body_capsules(path: str | os.PathLike[str], given: MeshFolders = MeshFolders
     return _body_capsules(Path(path), given)[0]
 
 
+def far_shapes(model: mujoco.MjModel, bodies: dict[str, list[Ends]], beyond_m: float = 1.0) -> LostShapes:
+    """Bodies whose capsules end farther from their origin than all joints' distances and this length together.
+
+    No link reaches that far: its mesh is in another unit or damaged, or its shape was kept by a version that fitted it
+    wrongly. Bodies that no joint moves may be of any size.
+    """
+    slides = model.jnt_range[model.jnt_type == mujoco.mjtJoint.mjJNT_SLIDE]
+    most = float(np.linalg.norm(model.body_pos, axis=1).sum() + np.abs(slides).sum()) + beyond_m
+    moving = {model.body(k).name for k in range(model.nbody) if model.body_weldid[k]}
+    reach = {name: max((end_m(one) for one in ends), default=0.0) for name, ends in bodies.items() if name in moving}
+    far = {name: reached for name, reached in reach.items() if not reached <= most}
+    why = f"a shape reaches {max(far.values(), default=0):.3g} m: a mesh in mm needs scale = 0.001"
+    return LostShapes({why: list(far)} if far else {})
+
+
+def end_m(capsule: Ends) -> float:
+    """Distance of a capsule's farthest point from the origin, [m]."""
+    start, end, radius = capsule
+    return float(max(np.linalg.norm(start), np.linalg.norm(end))) + radius
+
+
 def _body_capsules(path: Path, given: MeshFolders) -> tuple[BodyCapsules, LostShapes]:
     model, file, meshes = compiled(path), read_xml(path), MeshFinder(path, given)
     names = [name for body in range(1, model.nbody) if (name := model.body(body).name) and name != PAYLOAD]
     if file.root.tag == "robot":
         bodies, lost = urdf_capsules(file, names, meshes)
+        lost.links.update(far_shapes(model, bodies).links)
         return BodyCapsules(bodies, lost.sentences(), lost.names(), meshes.elsewhere), lost
     geoms = {name: body_geoms(model, model.body(name).id) for name in names}
     bodies = {
@@ -273,7 +318,8 @@ def _body_capsules(path: Path, given: MeshFolders) -> tuple[BodyCapsules, LostSh
     listed = [(body.get("name", ""), len(body.findall("geom"))) for body in file.root.iter("body")]
     left = f"shapes are left out, since a mesh, a texture or a name is missing in {path.name}"
     incomplete = [name for name, count in listed if name and name in names and model.body(name).geomnum[0] < count]
-    return BodyCapsules(bodies, [left] * (model.ngeom < sum(count for _, count in listed)), incomplete), LostShapes()
+    notes, far = [left] * (model.ngeom < sum(count for _, count in listed)), far_shapes(model, bodies)
+    return BodyCapsules(bodies, [*notes, *far.sentences()], [*incomplete, *far.names()]), LostShapes()
 
 
 def write_shapes(source: Path, folder: Path, given: MeshFolders = MeshFolders()) -> BodyCapsules:
@@ -318,6 +364,9 @@ def shapes_of(path: Path, given: MeshFolders = MeshFolders()) -> BodyCapsules:
     if not beside.is_file():
         return body_capsules(path, given)
     kept = read_shapes(beside)
+    if (far := far_shapes(compiled(path), kept.bodies)).links:
+        again = [f"{sentence}, or import the data again" for sentence in far.sentences()]
+        kept = replace(kept, notes=kept.notes + again, lost=kept.lost + far.names())
     if not (kept.notes or given) or read_xml(path).root.tag != "robot":
         return kept
     fresh, lost = _body_capsules(path, given)

@@ -13,8 +13,8 @@ from pathlib import Path
 from tauext.errors import ConfigError
 from tauext.robot.xml_file import read_xml
 
-READ_FORMATS = (".stl", ".obj", ".msh")
-"""Formats that MuJoCo reads."""
+READ_FORMATS = (".stl", ".obj", ".dae", ".msh")
+"""Formats that mesh_triangles reads."""
 
 # --- Folders that the user gives.
 
@@ -185,7 +185,7 @@ def _split(name: str) -> tuple[str, str]:
     becomes empty."""
     if not name.startswith("package://"):
         return "", name.removeprefix("file://")
-    package, _, inside = name.removeprefix("package://").partition("/")
+    package, _, inside = name.removeprefix("package://").lstrip("/").partition("/")
     inside = posixpath.normpath(inside)
     if package in ("", ".", "..") or inside.startswith((".", "/")):
         return package, ""
@@ -195,11 +195,12 @@ def _split(name: str) -> tuple[str, str]:
 def _readable(inside: str) -> list[str]:
     """Paths that can be read in the place of this one."""
     path = Path(inside)
-    if path.suffix.lower() in READ_FORMATS:
-        return [inside]
+    own = [inside] if path.suffix.lower() in READ_FORMATS else []
+    if own and path.suffix.lower() != ".dae":
+        return own
     folders = dict.fromkeys((path.parent, path.parent.parent / "collision"))
     ends = [end for suffix in READ_FORMATS for end in (suffix, suffix.upper())]
-    return [str(folder / f"{path.stem}{end}") for folder in folders for end in ends]
+    return own + [str(folder / f"{path.stem}{end}") for folder in folders for end in ends]
 
 
 # --- Where packages lie.

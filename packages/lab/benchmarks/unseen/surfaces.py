@@ -8,8 +8,11 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tauext import _core
+from tauext.robot import mesh_triangles
+from tauext.robot.mesh_files import MeshFinder
 from tauext.robot.read import load_tree, placed_bodies
 
 
@@ -64,26 +67,40 @@ class Triangles:
         return np.array([u, v - u, 1 - v]) @ self._corners[at], self._inwards[at]
 
 
-STL = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("kind", "<u2")])
+def meshes_of(model: Path, finder: MeshFinder) -> dict[str, np.ndarray]:
+    """Triangles (n, 3, 3) of the links that are meshes alone, by link, in the links' axes.
+
+    Raises:
+        OSError, ValueError: a mesh is missing or cannot be read.
+    """
+    found = {}
+    for link in ElementTree.parse(model).getroot().findall("link"):
+        shapes = link.findall("collision") or link.findall("visual")
+        meshes = [shape.find("geometry/mesh") for shape in shapes]
+        parts = []
+        for shape, mesh in zip(shapes, meshes, strict=True):
+            if mesh is None:
+                break
+            origin = shape.find("origin")
+            place = {} if origin is None else origin.attrib
+            at, turned = (np.array(place.get(key, "0 0 0").split(), dtype=float) for key in ("xyz", "rpy"))
+            scale = np.array(mesh.get("scale", "1 1 1").split(), dtype=float)
+            corners = mesh_triangles.triangles_of(finder.find(mesh.get("filename", "")))
+            parts.append(scale * corners @ Rotation.from_euler("xyz", turned).as_matrix().T + at)
+        if parts and len(parts) == len(shapes):
+            found[link.get("name", "")] = np.concatenate(parts)
+    return found
 
 
 def triangles_of(model: Path, joints: Sequence[str]) -> tuple[Triangles, ...]:
-    """The binary STL files that a URDF's links collide as, found in the folders above the file. Their origins must be
-    those of the links."""
-    links = {one.get("name"): one for one in ElementTree.parse(model).getroot().findall("link")}
-    found = []
-    for body in placed_bodies(model, load_tree(model, joints=list(joints)))[2]:
-        for shape in links[body.name].findall("collision") if body.name in links else []:
-            mesh, origin = shape.find("geometry/mesh"), shape.find("origin")
-            if mesh is None:
-                continue
-            moved = "" if origin is None else f"{origin.get('xyz', '')} {origin.get('rpy', '')}"
-            assert not any(float(number) for number in moved.split()), f"{body.name}: its mesh is moved"
-            inside = mesh.get("filename", "").removeprefix("package://")
-            file = next(folder / inside for folder in model.resolve().parents if (folder / inside).is_file())
-            corners = np.frombuffer(file.read_bytes()[84:], STL)["corners"].astype(float)
-            found.append(Triangles(body.link, corners @ body.rotation.T + body.translation))
-    return tuple(found)
+    """The meshes that a URDF's moving links collide as, found in the folders above the file."""
+    meshes = meshes_of(model, MeshFinder(model))
+    bodies = placed_bodies(model, load_tree(model, joints=list(joints)))[2]
+    return tuple(
+        Triangles(body.link, meshes[body.name] @ body.rotation.T + body.translation)
+        for body in bodies
+        if body.name in meshes
+    )
 
 
 def capsules_of(surface: tuple[Cylinder, ...]) -> list[_core.Capsule]:

@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
@@ -30,14 +31,14 @@ from made_live import replay
 from unseen.arms import Maker, arm_of, makers
 from unseen.recordings import logged, nm_per_given
 from unseen.simulation import RATE_HZ, Contact, draw_motion, simulate
-from unseen.surfaces import SURFACES, Cylinder, Triangles, capsules_of, draw_touch, triangles_of
+from unseen.surfaces import SURFACES, Cylinder, Triangles, capsules_of, draw_touch, triangles_of, within_cone
 
 from tauext import _core
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.monitor.touch_place import STATED, PlaceChange, PlaceFinder, run_of
+from tauext.monitor.touch_place import INCONSISTENT, STATED, PlaceChange, PlaceFinder, run_of
 from tauext.robot.capsules import link_capsules
-from tauext.robot.read import load_tree
+from tauext.robot.read import load_tree, placed_bodies, read_robot
 
 GIVEN, GUESSED, THIN, MESHES = "given", "guessed", "5 cm capsules", "meshes"
 Shapes = dict[str, list[_core.Capsule]]
@@ -189,6 +190,147 @@ def row_of(
         "off_n": abs(float(np.linalg.norm(place.force)) - touch.force_n),
         "ratio": float(np.abs(true_nm[at] / said["limit_nm"][at]).max()),
     }
+
+
+# --- Touches on arms in MuJoCo, and what their torques tell of the place.
+
+
+SIGMA_SHARE = 0.007
+"""Standard error of a torque in free motion, as a share of what the drive can give."""
+ALARM_SIGMAS = 5.0
+CONSTANTS, ABSORBED = 0.05, 0.08
+"""Standard error of a torque constant, as a share; largest share of a touch that gear friction takes up."""
+PRESSED_N = (15.0, 150.0)
+"""By people, tables and clamps; even in its logarithm."""
+FRICTION = (0.1, 0.8)
+"""Coefficient, drawn evenly for each touch; the force is drawn evenly from its cone."""
+HAND_M = 0.06
+"""Free way in front of a point that is touched."""
+TOUCHES_AN_ARM = 50
+"""With the same torque constants."""
+
+
+@dataclass(frozen=True)
+class Pressed:
+    link: int
+    q: np.ndarray
+    point_m: np.ndarray
+    """In the base."""
+    force_n: np.ndarray
+    """On the arm, along the base's axes, (3,)."""
+    torque_nm: np.ndarray
+    """(joints,)."""
+
+
+class TouchableArm:
+    """The arm in MuJoCo with a surface: its poses, levers and rays are MuJoCo's."""
+
+    def __init__(self, maker: Maker, surface: Sequence[Cylinder | Triangles]):
+        spec, _ = read_robot(maker.model)
+        for geom in list(spec.geoms):
+            spec.delete(geom)
+        placed = {}
+        for body in placed_bodies(maker.model, load_tree(maker.model, maker.joints))[2]:
+            placed.setdefault(body.link, body)
+        self._maker, self._placed = maker, placed
+        self._parts = [part for part in surface if part.link in placed]
+        for part in self._parts:
+            body = placed[part.link]
+            part.add_to(spec, spec.body(body.name), body.rotation.T, -body.rotation.T @ body.translation)
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        joints = [self._model.joint(name) for name in maker.joints]
+        self._qpos, self._dofs = (
+            [int(adr[0]) for adr in column]
+            for column in zip(*((one.qposadr, one.dofadr) for one in joints), strict=True)
+        )
+
+    def touch(self, rng: np.random.Generator, link: int | None = None) -> Pressed:
+        """A touch that nothing is in front of, in any pose.
+
+        Args:
+            link: the touched one; None: each point of the arm's surface is as likely.
+        """
+        model, data = self._model, self._data
+        parts = [part for part in self._parts if link in (None, part.link)]
+        areas = np.array([part.area_m2 for part in parts])
+        while True:
+            q = rng.uniform(self._maker.low_rad, self._maker.high_rad)
+            data.qpos[self._qpos] = q
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            part = parts[rng.choice(len(parts), p=areas / areas.sum())]
+            on_link, inwards = part.draw(rng)
+            body = self._placed[part.link]
+            number = model.body(body.name).id
+            turn = data.xmat[number].reshape(3, 3) @ body.rotation.T
+            point = data.xpos[number] + turn @ (on_link - body.translation)
+            inwards = turn @ inwards
+            hit = np.full(1, -1, dtype=np.int32)
+            free_m = mujoco.mj_ray(model, data, point - 1e-3 * inwards, -inwards, None, 1, -1, hit, None)
+            if 0 <= free_m < HAND_M:
+                continue
+            half_angle = np.arctan(rng.uniform(*FRICTION))
+            force = np.exp(rng.uniform(*np.log(PRESSED_N))) * within_cone(inwards, half_angle, rng)
+            turned = np.zeros(model.nv)
+            mujoco.mj_applyFT(model, data, force, np.zeros(3), point, number, turned)
+            return Pressed(part.link, q, point, force, turned[self._dofs])
+
+
+def pressed(arm: Arm, options: argparse.Namespace, by_area: bool) -> list[dict]:
+    """One row a touch that raises an alarm and kind of shapes, with what is found from its torques.
+
+    Args:
+        by_area: each point of the arm is as likely; else each link.
+    """
+    rng = np.random.default_rng([options.seed, 67, arm.bundle.joints, by_area])
+    bundle = at_rest(arm)
+    sigma = np.array(bundle.error_scale.sigma_weights)
+    touchable, models = TouchableArm(arm.maker, arm.surface), {}
+    for shapes, capsules in arm.shapes.items():
+        bundle.capsules = capsules
+        models[shapes] = _core.PlaceModel(bundle)
+        assert not models[shapes].refused, models[shapes].refused
+    rows = []
+    for number in range(options.touches):
+        if number % TOUCHES_AN_ARM == 0:
+            constants = 1 + CONSTANTS * rng.standard_normal(bundle.joints)
+        while True:
+            link = None if by_area else int(rng.integers(bundle.joints))
+            touch = touchable.touch(rng, link)
+            share = constants * (1 - rng.uniform(0, ABSORBED, bundle.joints))
+            wrong = sigma * rng.standard_t(6, bundle.joints) * np.sqrt(4 / 6)
+            tau = share * touch.torque_nm + wrong
+            if (np.abs(tau) > ALARM_SIGMAS * sigma).any():
+                break
+        in_contact = np.sqrt(sigma**2 + (CONSTANTS**2 + ABSORBED**2 / 3) * tau**2)
+        for shapes, model in models.items():
+            found = model.find(touch.q.tolist(), tau.tolist(), sigma.tolist(), in_contact.tolist())
+            known = found.best is not None and found.consistent >= INCONSISTENT
+            row = {"arm": arm.title, "shapes": shapes, "by_area": by_area, "link": touch.link, "seen": known}
+            if known:
+                row |= {
+                    "probability": list(found.probability),
+                    "force_n": float(np.linalg.norm(touch.force_n)),
+                    "median_n": found.force_n,
+                    "interval_n": list(found.force_interval_n),
+                    "off_m": float(np.linalg.norm(np.subtract(found.best.point, touch.point_m))),
+                    "within_m": found.within_m,
+                }
+            rows.append(row)
+    return rows
+
+
+def at_rest(arm: Arm) -> _core.Bundle:
+    """A bundle with the arm's links and constant standard errors."""
+    tree, bundle, scale = load_tree(arm.maker.model, arm.maker.joints), _core.Bundle(), _core.ErrorScaleSettings()
+    sigma = (SIGMA_SHARE * np.array(arm.maker.torque_nm)).tolist()
+    bundle.links, bundle.gravity = tree.links, tree.gravity
+    scale.features = [_core.MotionFeature.constant]
+    scale.limit_weights = scale.largest = [1.0] * len(sigma)
+    scale.sigma_weights = scale.sigma_near_weights = scale.largest_sigma = sigma
+    bundle.error_scale = scale
+    return bundle
 
 
 # --- Touches of people on a Panda that stands, at the sample of each that shows most.

@@ -91,6 +91,7 @@ class PlaceModel {
   static constexpr double kHolds = 0.1, kHolds_n = 50;  // share of touches that may pull, and their standard deviation
                                                         // per axis
   static constexpr double kTrust = 0.85;                // the power c
+  static constexpr double kOff_m = 0.015;  // standard error of a point: of the shape, and from one point to the next
   static constexpr double kLeast = 0.02;                // less probable links and places are not reported
   static constexpr double kApart_m = 0.08;              // smallest distance between places on a link: a hand's width
 
@@ -148,8 +149,8 @@ class PlaceModel {
   std::vector<Information> seen_;  // per link
   std::vector<double> q_, logs_, weights_;  // logs_: per link and point, their sum is the link's; weights_: probabilities
   double log_elsewhere_ = 0;       // evidence of a touch on any link
-  std::array<double, kMaxJoints> whitened_tau_{}, log_link_{};
-  std::array<double, kMaxJoints * kMaxJoints> factor_{};  // of S, lower triangle
+  std::array<double, kMaxJoints> tau_{}, log_link_{};   // tau_: of the joints in told()
+  std::array<double, kMaxJoints * kMaxJoints> s_{};    // S of these joints
 };
 
 }  // namespace tauext

@@ -134,7 +134,7 @@ double log_sum(Log&& log, std::size_t count) noexcept {
 }
 
 constexpr double kFarBelow = -40;  // smaller exponentials do not change a sum of such terms
-constexpr double kNoMatter = 1e-4;  // smaller probabilities are left out of distributions
+constexpr double kNoMatter = 1e-4, kNoPart = 0.01;  // less probable points, and components at a point, are left out
 
 }  // namespace
 
@@ -228,9 +228,9 @@ double PlaceModel::evidence(std::size_t link) noexcept {
 }
 
 // Adds the posterior of the force's size at a point, and returns the mean force. Sizes of a component of the mixture are
-// taken as normal, at five quantiles.
+// taken as normal, at three sizes.
 std::array<double, 3> PlaceModel::add_forces(std::size_t link, std::size_t point, double weight, ForceSizes& sizes) const noexcept {
-  constexpr std::array<double, 5> kQuantiles{-1.282, -0.524, 0, 0.524, 1.282};
+  constexpr std::array<double, 3> kSpread{-1.2247, 0, 1.2247};  // has the normal distribution's variance
   const LinkSurface& surface = surfaces_[link];
   const std::array<Size, kParts>& mixture = kMixtures[guessed_[link]];
   const SeenAt alone = seen_at(seen_[link], surface.x[point], surface.y[point], surface.z[point]);
@@ -247,13 +247,13 @@ std::array<double, 3> PlaceModel::add_forces(std::size_t link, std::size_t point
   std::array<double, 3> mean{};
   for (std::size_t part = 0; part < kParts; ++part) {
     const double share = logs[part] / sum;
-    if (share < kNoMatter) continue;
+    if (share < kNoPart) continue;
     const Symmetric& m = at[part].m;
     const Symmetric3 covariance = Symmetric3{m.xx, m.yy, m.zz, m.xy, m.xz, m.yz}.inverse();
     const Vector3 f = covariance.times({at[part].bx, at[part].by, at[part].bz});
     const double size = std::sqrt(dot(f, f)), along = size > 0 ? dot(f, covariance.times(f)) / (size * size) : 0;
     const double across = covariance.xx + covariance.yy + covariance.zz - along, middle = std::sqrt(size * size + across);
-    for (const double z : kQuantiles) sizes.add(middle + z * std::sqrt(along), weight * share / kQuantiles.size());
+    for (const double z : kSpread) sizes.add(middle + z * std::sqrt(along), weight * share / kSpread.size());
     mean = {mean[0] + share * f.x, mean[1] + share * f.y, mean[2] + share * f.z};
   }
   return mean;
@@ -274,6 +274,8 @@ void PlaceModel::rank(std::span<const double> q, std::span<const double> tau_ext
   const std::size_t rows = wrench_.told().size();
   wrench_.keep_told(s, n, true);
   wrench_.keep_told(y, 1, false);
+  tau_ = y;
+  s_ = s;
   if (!cholesky(std::span(s).first(rows * rows), rows)) return;
   forward(s, rows, std::span(y).first(rows));
   std::array<double, kMaxJoints> logs{};
@@ -311,8 +313,6 @@ void PlaceModel::rank(std::span<const double> q, std::span<const double> tau_ext
   });
   log_elsewhere_ = log_sum([&](std::size_t link) noexcept { return log_prior_[link] + log_link_[link]; }, n);
   std::ranges::copy(q.first(n), q_.begin());
-  whitened_tau_ = y;
-  factor_ = s;
   into.known = true;
 }
 
@@ -326,18 +326,25 @@ void PlaceModel::locate(TouchPlaces& into, int given) noexcept {
     if (given < 0 || given == static_cast<int>(link)) place_on(link, given < 0 ? into.probability[link] : 1.0, sizes, into);
   if (into.places == 0) return;
   bound(given, sizes, into);
-  // Chi-square left by the first place.
+  // Chi-square left by the first place, whose point is wrong by kOff_m along each axis.
   const TouchPlace& first = into.place[0];
   std::array<double, 6 * kMaxJoints> columns;
   wrench_.columns(first.link, q_, first.on_link, WrenchAxes::base, columns);
-  std::array<double, kMaxJoints> left{};
-  for (std::size_t j = 0; j < n; ++j)
-    for (std::size_t i = 0; i < 3; ++i) left[j] += columns[i * n + j] * first.force[i];
+  wrench_.keep_told(columns, 6, false);
   const std::span<const std::size_t> told = wrench_.told();
-  wrench_.keep_told(left, 1, false);
-  forward(factor_, told.size(), std::span(left).first(told.size()));
-  double chi_square = 0;
-  for (std::size_t j = 0; j < told.size(); ++j) chi_square += std::pow(whitened_tau_[j] - left[j], 2);
+  const std::size_t rows = told.size();
+  const Vector3 f = vector3(first.force);
+  const double moment_nm = kOff_m * std::sqrt(dot(f, f));
+  std::array<double, kMaxJoints> left = tau_;
+  std::array<double, kMaxJoints * kMaxJoints> s = s_;
+  for (std::size_t j = 0; j < rows; ++j) {
+    for (std::size_t i = 0; i < 3; ++i) left[j] -= columns[i * rows + j] * first.force[i];
+    for (std::size_t k = 0; k < rows; ++k)
+      for (std::size_t i = 3; i < 6; ++i) s[j * rows + k] += moment_nm * moment_nm * columns[i * rows + j] * columns[i * rows + k];
+  }
+  if (!cholesky(std::span(s).first(rows * rows), rows)) return;
+  forward(s, rows, std::span(left).first(rows));
+  double chi_square = std::inner_product(left.begin(), left.begin() + static_cast<std::ptrdiff_t>(rows), left.begin(), 0.0);
   // Three unknowns of the force and two of the point, as far as the joints below the point can determine them.
   const auto on_the_way = std::ranges::count_if(told, [&first](std::size_t j) noexcept { return static_cast<int>(j) <= first.link; });
   const int freedom = static_cast<int>(told.size()) - std::min(static_cast<int>(on_the_way), 5);

@@ -3,6 +3,7 @@
     python packages/lab/benchmarks/links.py MODELS UNSEEN OUT [--arms panda kinova seven_axis]
       [--meshes panda=ROBOT ...] [--touches 200] [--seed 0]
     python packages/lab/benchmarks/links.py MODELS UNSEEN OUT --panda DATASET BUNDLES [--meshes panda=ROBOT]
+    python packages/lab/benchmarks/links.py MODELS UNSEEN OUT --pressed [--arms ur5 seven_axis] [--meshes ur5=ROBOT ...]
 
 MODELS: folder of the robot files. UNSEEN: what unseen_arms.py wrote; a bundle is trained on each arm's datasets where
 OUT has none. ROBOT: the arm's robot file with its meshes in the folders above: touches on the meshes, too. OUT gets the
@@ -11,6 +12,9 @@ bundles, links.json and links.md.
 --panda: recordings of a Panda at rest and bundles, as real_arms.py makes them (panda/data, a file a touched link with
 labels and the robot's own estimate; panda/bundles). Links are found by the bundle of recipe observer, with the standard
 error of its own limits; by the robot's own estimate, with that of its samples without a touch.
+
+--pressed: forces that MuJoCo exerts on points of the surfaces, and how often what is stated of them is right. UNSEEN is
+not read. OUT gets pressed.json, pressed.md and reliability.png.
 """
 
 from __future__ import annotations
@@ -21,8 +25,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
+from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 
@@ -38,9 +47,10 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.monitor.touch_place import INCONSISTENT, STATED, PlaceChange, PlaceFinder, run_of
 from tauext.robot.capsules import link_capsules
+from tauext.robot.frames import wrench_frames
 from tauext.robot.read import load_tree, placed_bodies, read_robot
 
-GIVEN, GUESSED, THIN, MESHES = "given", "guessed", "5 cm capsules", "meshes"
+GIVEN, GUESSED, THIN, MESHES, FITTED = "given", "guessed", "5 cm capsules", "meshes", "fitted"
 Shapes = dict[str, list[_core.Capsule]]
 """What a bundle may know of an arm's surface; GUESSED: nothing."""
 
@@ -284,7 +294,7 @@ def pressed(arm: Arm, options: argparse.Namespace, by_area: bool) -> list[dict]:
         by_area: each point of the arm is as likely; else each link.
     """
     rng = np.random.default_rng([options.seed, 67, arm.bundle.joints, by_area])
-    bundle = at_rest(arm)
+    bundle = arm.bundle
     sigma = np.array(bundle.error_scale.sigma_weights)
     touchable, models = TouchableArm(arm.maker, arm.surface), {}
     for shapes, capsules in arm.shapes.items():
@@ -321,16 +331,94 @@ def pressed(arm: Arm, options: argparse.Namespace, by_area: bool) -> list[dict]:
     return rows
 
 
-def at_rest(arm: Arm) -> _core.Bundle:
-    """A bundle with the arm's links and constant standard errors."""
-    tree, bundle, scale = load_tree(arm.maker.model, arm.maker.joints), _core.Bundle(), _core.ErrorScaleSettings()
-    sigma = (SIGMA_SHARE * np.array(arm.maker.torque_nm)).tolist()
-    bundle.links, bundle.gravity = tree.links, tree.gravity
+def at_rest(maker: Maker, robot: Path | None) -> Arm:
+    """The arm with constant standard errors. robot: with the meshes of this file."""
+    tree, bundle, scale = load_tree(maker.model, maker.joints), _core.Bundle(), _core.ErrorScaleSettings()
+    settings = _core.WrenchSettings()
+    settings.frames = wrench_frames(maker.model, tree)
+    sigma = (SIGMA_SHARE * np.array(maker.torque_nm)).tolist()
     scale.features = [_core.MotionFeature.constant]
     scale.limit_weights = scale.largest = [1.0] * len(sigma)
     scale.sigma_weights = scale.sigma_near_weights = scale.largest_sigma = sigma
-    bundle.error_scale = scale
-    return bundle
+    bundle.links, bundle.gravity, bundle.error_scale, bundle.wrench_settings = tree.links, tree.gravity, scale, settings
+    shapes: Shapes = {GIVEN: capsules_of(SURFACES[maker.name]), GUESSED: []}
+    if robot is None:
+        return Arm(maker, bundle, maker.name, SURFACES[maker.name], shapes)
+    shapes[FITTED] = mesh_capsules(robot, list(maker.joints))
+    return Arm(maker, bundle, f"{maker.name}, meshes", triangles_of(robot, maker.joints), shapes)
+
+
+def pressed_tables(rows: list[dict]) -> list[str]:
+    """By how touches are drawn, arm and shapes."""
+    lines = head(
+        "drawn by | arm | shapes | touches | explained | runs: links | stated | right | 85 to 95 %: stated | right "
+        "| force in interval | within factor 2 | high by low | place within | distance, cm: stated | true"
+    )
+    for by_area in (True, False):
+        arms = [*dict.fromkeys(row["arm"] for row in rows), "**all**"]
+        for arm in arms:
+            for shapes in dict.fromkeys(row["shapes"] for row in rows):
+                of = [row for row in rows if row["by_area"] == by_area and row["shapes"] == shapes]
+                of = [row for row in of if arm in (row["arm"], "**all**")]
+                if of:
+                    lines.append(table_row("area" if by_area else "link", arm, shapes, *pressed_cells(of)))
+    return lines
+
+
+def pressed_cells(rows: list[dict]) -> list[object]:
+    seen = [row for row in rows if row["seen"]]
+    stated = np.array([statement(row["probability"], row["link"]) for row in seen])
+    unsure = stated[(stated[:, 1] >= 0.85) & (stated[:, 1] <= 0.95)]
+    force, median, (low, high) = (
+        np.array([row[key] for row in seen]).T for key in ("force_n", "median_n", "interval_n")
+    )
+    off, within = (np.array([row[key] for row in seen]) for key in ("off_m", "within_m"))
+    ratio = np.maximum(median / force, force / median)
+    shares = (
+        *stated.mean(axis=0)[1:],
+        *(unsure.mean(axis=0)[1:] if len(unsure) else (np.nan, np.nan)),
+        np.mean((low <= force) & (force <= high)),
+        np.mean(ratio < 2),
+    )
+    cells = [f"{share:.0%}" for share in shares]
+    links = f"{stated[:, 0].mean():.1f}"
+    places = (f"{np.median(high / low):.1f}", f"{np.mean(off <= within):.0%}")
+    return [len(rows), f"{len(seen) / len(rows):.0%}", links, *cells, *places,
+            *(f"{100 * np.median(one):.0f}" for one in (within, off))]  # fmt: skip
+
+
+def statement(probability: list[float], link: int) -> tuple[int, float, bool]:
+    """Length of the stated run of links, its probability, and whether the link is one of them."""
+    first, last, share = run_of([(k, probability[k]) for k in np.argsort(-np.array(probability)).tolist()])
+    return last - first + 1, share, first <= link <= last
+
+
+def reliability(rows: list[dict]) -> Figure:
+    """Share of runs of neighbouring links, of any length, that are right, over their stated probability; by shapes."""
+    figure, axes = plt.subplots(1, 2, figsize=(9, 4.4), sharex=True, sharey=True, layout="constrained")
+    edges = np.array([0, 0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.95, 1.0])
+    for axis, by_area in zip(axes, (True, False), strict=True):
+        axis.plot([0, 1], [0, 1], color="0.7", linewidth=1, label="calibrated")
+        for shapes, mark in ((GIVEN, "o"), (FITTED, "s"), (GUESSED, "^")):
+            of = [row for row in rows if row["seen"] and row["by_area"] == by_area and row["shapes"] == shapes]
+            if not of:
+                continue
+            stated, right = np.concatenate([runs_of(row["probability"], row["link"]) for row in of], axis=1)
+            at = np.digitize(stated, edges[1:-1])
+            kept = [k for k in range(len(edges) - 1) if np.count_nonzero(at == k) >= 30]
+            points = np.array([(stated[at == k].mean(), right[at == k].mean()) for k in kept])
+            axis.plot(*points.T, mark, linestyle="-", markersize=5, label=f"{shapes}: {len(of)} touches")
+        axis.set(title=f"each {'point' if by_area else 'link'} as often", xlabel="stated probability", aspect="equal")
+        axis.legend(loc="upper left", fontsize=8)
+    axes[0].set_ylabel("share that is right")
+    return figure
+
+
+def runs_of(probability: list[float], link: int) -> np.ndarray:
+    """Probability of each run of neighbouring links, and whether the link is in it, (2, runs)."""
+    n = len(probability)
+    runs = [(first, last) for first in range(n) for last in range(first, n) if last - first + 1 < n]
+    return np.array([(sum(probability[a : b + 1]), a <= link <= b) for a, b in runs]).T
 
 
 # --- Touches of people on a Panda that stands, at the sample of each that shows most.
@@ -441,9 +529,18 @@ def main() -> None:
     parser = arguments(__doc__, "models", "unseen", "out", arms=("panda", "kinova", "seven_axis"), seed=0)
     parser.add_argument("--meshes", nargs="+", default=[], help="robot files with meshes, each as ARM=FILE")
     parser.add_argument("--touches", type=int, default=200, help="an arm")
+    parser.add_argument("--pressed", action="store_true", help="touches in MuJoCo alone")
     parser.add_argument("--panda", type=Path, nargs=2, metavar=("DATASET", "BUNDLES"), help="the Panda at rest alone")
     options = parser.parse_args()
     robots = {name: Path(model) for name, _, model in (one.partition("=") for one in options.meshes)}
+    if options.pressed:
+        known = makers(options.models)
+        of = [at_rest(known[name], None) for name in options.arms]
+        of += [at_rest(known[name], robot) for name, robot in robots.items()]
+        rows = [row for arm in of for by_area in (True, False) for row in pressed(arm, options, by_area)]
+        write_tables(options.out, pressed_tables(rows), short(rows), "pressed")
+        reliability(rows).savefig(options.out / "reliability.png", dpi=110)
+        return
     if options.panda:
         rows = panda_rows(*options.panda, robots.get("panda"))
     else:

@@ -110,8 +110,8 @@ def over_limit(flight: Flight, source: FlightSource, kind: str) -> str:
     slow_rad_s = source.bundle.near_stiction_rad_s
     unit = source.unit(j)
     text = (
-        f"|{compared(event, j)}| of {source.joints[j]} was {size:.3f} {unit}, {size - limit:.3f} {unit} over its {kind} "
-        f"limit of {limit:.3f} {unit} ({region}: its speed was {speed:+.4f} rad/s, {edge} {slow_rad_s:g})."
+        f"|{compared(event, j)}| of {source.joints[j]} was {size:.3f} {unit}, {size - limit:.3f} {unit} over its "
+        f"{kind} limit of {limit:.3f} {unit} ({region}: its speed was {speed:+.4f} rad/s, {edge} {slow_rad_s:g})."
     )
     text += certainty(flight, source)
     since = row

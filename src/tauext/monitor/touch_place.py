@@ -355,7 +355,7 @@ class PlaceFinder:
 
 
 STATED = 0.9
-"""Probability of the run of links, of the interval of the force and of the distance from the place that are reported."""
+"""Probability of the reported run of links, interval of the force, and distance from the place."""
 VAGUE_M = 0.5
 """Distance from which on a place is not reported."""
 

@@ -84,7 +84,8 @@ class Episode:
         facts: dict[str, Any] = {"id": self.number, "ended": self.ended}
         if self.t_ns is not None:
             held = {"held_ns": self.touch_t_ns, "over": rounded(self.over)}
-            facts |= {"bundle": self.bundle, "t_ns": self.t_ns, **held, "touch": None, "links": [], "newtons": None}
+            facts |= {"bundle": self.bundle, "t_ns": self.t_ns, **held, "touch": None, "links": []}
+            facts |= {"newtons": None, "newtons_interval": None}
         if self.touch >= FIRST_KIND:
             facts["touch"] = TOUCHES[self.touch]
         if math.isfinite(self.limit_nm):  # else it has risen under an earlier process

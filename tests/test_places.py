@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import os
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from made_bundles import SEVEN_AXIS, seven_axis_bundle
+from made_bundles import SEVEN_AXIS, constant_error_scale, seven_axis_bundle
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
+from scipy.stats import t as student_t
 
 from tauext import _core
+from tauext.monitor.touch_place import run_of
 from tauext.robot.read import load_tree
 
 GOLDEN = Path(__file__).parent / "golden" / "format-1-prior.tauext"
 SIGMA = np.array([0.3, 0.4, 0.25, 0.3, 0.15, 0.1, 0.08])
-SIZES_N, ALONG, ACROSS, HOLDS, HOLDS_N = (3, 9, 27, 81, 243), 0.5, 0.4, 0.1, 50.0
-RANKING_POINTS = 64
+SIZES_N, ALONG, HOLDS, HOLDS_N, TRUST = (6, 12, 24, 48, 96, 192, 384), 0.35, 0.1, 50.0, 0.85
+SIZE_WEIGHTS = student_t.pdf(np.log(SIZES_N), 4, np.log(50), 0.5)
+SIZE_WEIGHTS /= SIZE_WEIGHTS.sum()
+ACROSS, NORMAL, NORMAL_GUESSED = (0.12, 0.4), 0.1, 0.3
+POINTS = 320
 
 
 @pytest.fixture(scope="module")
@@ -49,19 +55,30 @@ def normal_logs(x: np.ndarray, means: np.ndarray, covariances: np.ndarray) -> np
     return -0.5 * (squares + np.linalg.slogdet(2 * np.pi * covariances)[1])
 
 
-def evidence(wrenches, bundle, link: int, q, tau, s, surface, across: float) -> float:
-    """Logarithm of the probability density of tau for a touch on this link, by its definition."""
-    points, inwards, share = surface
+def evidence(wrenches, bundle, link: int, q, tau, s, surface, normal: float) -> float:
+    """Logarithm of the probability density of tau for a touch on this link, by its definition.
+
+    Args:
+        normal: error of the surface's normals, [rad].
+    """
+    points, inwards, share, _ = surface
     whole = wrenches.columns(bundle.links[link].joint_name, list(q), [0.0] * 3, _core.WrenchAxes.frame)
     j = whole[:3] + np.cross(points[:, None, :], np.eye(3)) @ whole[3:]  # a force at p has the moment p x f
     along, terms = inwards[:, :, None] * inwards[:, None, :], []
-    for size in SIZES_N:
-        spread = size**2 * (ALONG**2 * along + across**2 * (np.eye(3) - along))
-        means = size * np.einsum("pi,pij->pj", inwards, j)
-        found = normal_logs(tau, means, s + np.swapaxes(j, 1, 2) @ spread @ j)
-        terms.append(found + np.log(share * (1 - HOLDS) / len(SIZES_N)))
+    for size, weight in zip(SIZES_N, SIZE_WEIGHTS, strict=True):
+        for across in np.hypot(ACROSS, normal):
+            spread = size**2 * (ALONG**2 * along + across**2 * (np.eye(3) - along))
+            means = size * np.einsum("pi,pij->pj", inwards, j)
+            found = normal_logs(tau, means, s + np.swapaxes(j, 1, 2) @ spread @ j)
+            terms.append(found + np.log(share * (1 - HOLDS) / len(ACROSS) * weight))
     found = normal_logs(tau, np.zeros((len(points), len(tau))), s + HOLDS_N**2 * np.swapaxes(j, 1, 2) @ j)
     return float(logsumexp([*terms, found + np.log(share * HOLDS)]))
+
+
+def probabilities(logs: list[float], surfaces: list) -> np.ndarray:
+    """Of the links, from their evidence and areas."""
+    logs = TRUST * np.array(logs) + np.log([float(np.squeeze(area)) for *_, area in surfaces])
+    return np.exp(logs - logsumexp(logs))
 
 
 def test_probability_is_that_of_the_normal_distributions_of_its_definition(bundle, model):
@@ -69,18 +86,15 @@ def test_probability_is_that_of_the_normal_distributions_of_its_definition(bundl
     rng = np.random.default_rng(5)
     for _ in range(3):
         q = rng.uniform(-1.5, 1.5, 7)
-        surface = _core.surface_of(of_link(bundle, 4), RANKING_POINTS)
+        surface = _core.surface_of(of_link(bundle, 4), POINTS)
         at = rng.integers(len(surface["points"]))
         force = 25 * surface["inwards"][at] + rng.normal(size=3) * 3
         tau = columns(wrenches, bundle, 4, q, surface["points"][at]).T @ force + SIGMA * rng.normal(size=7)
         s = wrenches.covariance(True, tau.tolist(), SIGMA.tolist())
-        surfaces = [_core.surface_of(of_link(bundle, link), RANKING_POINTS) for link in range(7)]
-        logs = [
-            evidence(wrenches, bundle, link, q, tau, s, surface.values(), ACROSS)
-            for link, surface in enumerate(surfaces)
-        ]
+        surfaces = [list(_core.surface_of(of_link(bundle, link), POINTS).values()) for link in range(7)]
+        logs = [evidence(wrenches, bundle, link, q, tau, s, surface, NORMAL) for link, surface in enumerate(surfaces)]
         told = model.find(q.tolist(), tau.tolist(), SIGMA.tolist(), places=False)
-        np.testing.assert_allclose(told.probability, np.exp(logs - logsumexp(logs)), rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(told.probability, probabilities(logs, surfaces), rtol=1e-6, atol=1e-12)
         assert told.ranked == np.argsort(-np.array(told.probability)).tolist()
 
 
@@ -103,10 +117,23 @@ def drawn(bundle, count: int, seed: int):
         count -= 1
 
 
+def placed(bundle, link: int, q, point) -> np.ndarray:
+    """A point of a link in the base, by Pinocchio."""
+    arm = pin.buildModelFromUrdf(str(SEVEN_AXIS))
+    data = arm.createData()
+    pin.forwardKinematics(arm, data, np.array(q))
+    return data.oMi[link + 1].act(np.array(point))
+
+
 def test_links_are_as_probable_as_they_are_right_and_places_are_found(bundle, model):
     first, second, stated, off = [], [], [], []
-    for link, point, _, q, tau in drawn(bundle, 400, 11):
+    held = []
+    for link, point, force, q, tau in drawn(bundle, 400, 11):
         told = model.find(q.tolist(), tau.tolist(), SIGMA.tolist())
+        low_n, high_n = told.force_interval_n
+        far_m = np.linalg.norm(told.best.point - placed(bundle, link, q, point))
+        size = np.linalg.norm(force)
+        held.append((low_n <= size <= high_n, 0.5 < told.force_n / size < 2, far_m <= told.within_m))
         best = told.ranked[0]
         first.append((told.probability[best], best == link))
         second.append(link in told.ranked[:2])
@@ -122,6 +149,8 @@ def test_links_are_as_probable_as_they_are_right_and_places_are_found(bundle, mo
     assert abs(said.mean() - right.mean()) < 0.1
     assert right.mean() > 0.6 and np.mean(second) > 0.85
     assert len(stated) > 60 and np.mean(stated) > 0.85
+    interval, factor_two, near = np.mean(held, axis=0)
+    assert 0.85 <= interval <= 0.99 and factor_two >= 0.85 and 0.85 <= near <= 0.99
     distance, spread = np.array(off).T
     assert np.median(distance) < 0.035 and 0.4 < np.median(distance) / np.median(spread) < 1.5
 
@@ -140,11 +169,91 @@ def test_a_place_explains_what_a_sharp_touch_shows(bundle, model):
     turned = wrenches.columns("joint7", q, list(point))[:3]
     np.testing.assert_allclose(turned.T @ place.force, tau, atol=0.1 * np.abs(tau).max())
     assert np.linalg.norm(place.force) == pytest.approx(40, rel=0.1)
+    np.testing.assert_allclose(place.point, placed(bundle, 6, q, place.on_link), atol=1e-9)
 
-    arm = pin.buildModelFromUrdf(str(SEVEN_AXIS))
-    data = arm.createData()
-    pin.forwardKinematics(arm, data, np.array(q))
-    np.testing.assert_allclose(place.point, data.oMi[7].act(np.array(place.on_link)), atol=1e-9)
+
+def test_the_interval_of_the_force_is_that_of_touches_drawn_from_the_prior(bundle, model):
+    """Weighted by their probability to cause these torques."""
+    wrenches, rng, q = _core.WrenchModel(bundle), np.random.default_rng(6), [0.4, -0.7, 0.3, -1.5, 0.6, 1.1, -0.2]
+    points, inwards, share, _ = _core.surface_of(of_link(bundle, 4), POINTS).values()
+    at = rng.choice(len(share), 400_000, p=share)
+    across = np.hypot(rng.choice(ACROSS, len(at)), NORMAL)[:, None]
+    size = rng.choice(SIZES_N, len(at), p=SIZE_WEIGHTS)[:, None]
+    noise = rng.normal(size=(len(at), 3))
+    n = inwards[at]
+    upright = np.sum(noise * n, axis=1, keepdims=True)
+    forces = size * (n + ALONG * upright * n + across * (noise - upright * n))
+    holds = rng.uniform(size=len(at)) < HOLDS
+    forces[holds] = HOLDS_N * rng.normal(size=(holds.sum(), 3))
+    whole = wrenches.columns("joint5", q, [0.0] * 3, _core.WrenchAxes.frame)
+    taus = forces @ whole[:3] + np.cross(points[at], forces) @ whole[3:]
+    tau, sigma = np.array([2.0, -4.0, 3.0, -5.0, 0.5, 0.0, 0.0]), 8 * SIGMA  # few draws suffice
+    s = wrenches.covariance(True, tau.tolist(), sigma.tolist())
+    weights = np.exp(-0.5 * np.einsum("pi,ij,pj->p", tau - taus, np.linalg.inv(s), tau - taus))
+    assert weights.sum() ** 2 / np.square(weights).sum() > 1000
+    sizes = np.linalg.norm(forces, axis=1)
+    order = np.argsort(sizes)
+    below = np.cumsum(weights[order]) / weights.sum()
+    expected = [sizes[order][np.searchsorted(below, one)] for one in (0.05, 0.5, 0.95)]
+    found = model.find(q, tau.tolist(), sigma.tolist(), link=4)
+    low_n, high_n = found.force_interval_n
+    np.testing.assert_allclose([low_n, found.force_n, high_n], expected, rtol=0.08)
+
+
+OFFSET_WRIST = SEVEN_AXIS.parents[1] / "packages" / "lab" / "benchmarks" / "unseen" / "offset_wrist.urdf"
+SHARED = Path(os.environ.get("TAUEXT_SHARED_DATA", Path(__file__).parents[2] / "shared" / "data"))
+UR5 = SHARED / "models" / "ur5_robot.urdf"
+
+
+POSE = [0.3, 0.4, -0.2, 0.4, 0.3, 0.2]
+
+
+def across(wrenches, link: str, point, newtons: float, tilt: float) -> list[float]:
+    """Torques of a force across the plane of the arm in POSE that is tilted within it by this share."""
+    aside, out = np.array([-np.sin(POSE[0]), np.cos(POSE[0]), 0]), np.array([np.cos(POSE[0]), np.sin(POSE[0]), 0])
+    way = aside + tilt * (0.6 * out - [0, 0, 0.8])
+    columns = wrenches.columns(link, POSE, list(point))[:3]
+    return (newtons / np.linalg.norm(way) * way @ columns).tolist()
+
+
+def six_axis_model(robot: Path) -> tuple[_core.Bundle, _core.PlaceModel]:
+    """With guessed shapes."""
+    tree, bundle = load_tree(robot), _core.Bundle()
+    bundle.links, bundle.gravity, bundle.error_scale = tree.links, tree.gravity, constant_error_scale(SIX_SIGMA)
+    return bundle, _core.PlaceModel(bundle)
+
+
+SIX_SIGMA = [1.05, 1.05, 1.05, 0.2, 0.2, 0.2]
+
+
+@pytest.mark.parametrize("tilt", [0.1, 0.2, 0.4])
+@pytest.mark.parametrize(
+    ("link", "point", "newtons"), [(4, (0, 0, 0.03), 40.0), (4, (0, 0, 0.03), 63.0), (1, (0, -0.45, -0.027), 63.0)]
+)
+def test_a_push_across_the_arm_is_no_huge_force_beside_the_first_axis(link, point, newtons, tilt):
+    """A force near the first axis has nearly the same torques, but no hand presses so hard."""
+    bundle, model = six_axis_model(OFFSET_WRIST)
+    tau = across(_core.WrenchModel(bundle), bundle.links[link].joint_name, point, newtons, tilt)
+    found = model.find(POSE, tau, SIX_SIGMA)
+    low_n, high_n = found.force_interval_n
+    assert low_n < newtons < high_n < 250 and found.force_n / newtons < 2 and found.probability[0] < 0.1
+    assert sum(found.probability[max(link - 1, 1) : link + 1]) > 0.5  # a joint is at the far end of the link before it
+    assert found.within_m > 0.15
+
+
+@pytest.mark.skipif(not UR5.exists(), reason="no robot file of a UR5")
+@pytest.mark.parametrize(
+    ("q", "force"), [([0.0, -1.0, 1.0, -1.57, -1.57, 0.0], 38.0), ([0.3, -1.2, 1.6, -1.9, -1.57, 0.4], 43.0)]
+)
+def test_a_push_at_the_wrist_of_a_real_arm_is_not_369_newtons_at_its_shoulder(q, force):
+    bundle, model = six_axis_model(UR5)
+    found = model.find(q, [-23.7, -3.0, -0.4, 0.0, 0.0, 0.0], SIX_SIGMA)
+    low_n, high_n = found.force_interval_n
+    assert low_n < force * 1.03 < high_n and found.force_n < 120
+    assert found.probability[0] < 0.05 < found.probability[3]
+    first, last, _ = run_of([(k, found.probability[k]) for k in found.ranked])
+    assert (first, last) == (1, 2) or last == 3
+    assert found.within_m > 0.3  # it cannot be distinguished, and the words show it
 
 
 def test_a_force_at_a_frame_is_distinguished_from_touches_elsewhere(bundle, model):
@@ -166,11 +275,13 @@ def test_a_force_at_a_frame_is_distinguished_from_touches_elsewhere(bundle, mode
 
     s = wrenches.covariance(True, tau.tolist(), SIGMA.tolist())
     at, points = columns(wrenches, bundle, 6, q, [0, 0, 0]), []
-    for size in SIZES_N:
-        points.append(multivariate_normal.logpdf(tau, np.zeros(7), s + size**2 / 3 * at.T @ at) - np.log(len(SIZES_N)))
+    for size, weight in zip(SIZES_N, SIZE_WEIGHTS, strict=True):
+        points.append(multivariate_normal.logpdf(tau, np.zeros(7), s + size**2 / 3 * at.T @ at) + np.log(weight))
+    surfaces = [list(_core.surface_of(of_link(bundle, link), POINTS).values()) for link in range(7)]
+    areas = np.array([float(area[0]) for *_, area in surfaces])
     elsewhere = [
-        evidence(wrenches, bundle, link, q, tau, s, surface.values(), ACROSS) - np.log(7)
-        for link, surface in enumerate(_core.surface_of(of_link(bundle, k), RANKING_POINTS) for k in range(7))
+        evidence(wrenches, bundle, link, q, tau, s, surface, NORMAL) + np.log(areas[link] / areas.sum())
+        for link, surface in enumerate(surfaces)
     ]
     log = logsumexp(elsewhere) - logsumexp(points)
     assert said[-1] == pytest.approx(1 / (1 + np.exp(log)), rel=1e-6)
@@ -206,6 +317,16 @@ def test_surface_points_lie_on_the_surface_and_share_its_area():
     assert distance.min() > -1e-3 * 0.05  # none within the other part
     assert surface["share"].sum() == pytest.approx(1)
     np.testing.assert_allclose(np.linalg.norm(surface["inwards"], axis=1), 1, atol=1e-12)
+    # Area: that of the union's points within 0.1 mm below its surface, by chance.
+    box, rng = np.array([[-0.06, -0.15, -0.06], [0.06, 0.15, 0.36]]), np.random.default_rng(1)
+    inside = np.full((2_000_000, 2), np.inf)
+    points = rng.uniform(*box, size=(len(inside), 3))
+    for k, part in enumerate(parts):
+        start, way = np.array(part.start), np.subtract(part.end, part.start)
+        along = np.clip((points - start) @ way / (way @ way), 0, 1)
+        inside[:, k] = np.linalg.norm(points - start - along[:, None] * way, axis=1) - part.radius_m
+    shell = np.abs(inside.min(axis=1)) < 1e-3
+    assert surface["area_m2"][0] == pytest.approx(shell.mean() * np.prod(box[1] - box[0]) / 2e-3, rel=0.02)
 
     sphere = _core.surface_of([_core.Capsule(0, [0, 0, 0.2], [0, 0, 0.2], 0.1)], 300)
     out = (sphere["points"] - [0, 0, 0.2]) / 0.1
@@ -213,9 +334,6 @@ def test_surface_points_lie_on_the_surface_and_share_its_area():
     np.testing.assert_allclose(sphere["share"] @ out, 0, atol=0.01)
     # The second moments of an even sphere are 1/3 each; rows at a step of some 20 degrees are off by a few percent.
     np.testing.assert_allclose(np.diag(out.T @ (sphere["share"][:, None] * out)), 1 / 3, atol=0.02)
-
-
-ACROSS_GUESS = 0.5
 
 
 def guessing(bundle) -> _core.Bundle:
@@ -244,7 +362,8 @@ def crossing(links: list, link: int, u: float = 0.5) -> tuple[float, float]:
 
 
 def shapes_drawn(links: list, link: int, end: np.ndarray, arm_m: float, count: int, rng) -> tuple:
-    """Points and inwards of the same guess with other random numbers, for a serial arm; masses are not considered."""
+    """Points, inwards and areas of the same guess with other random numbers, for a serial arm, without masses. Points
+    inside their shape have no area; `count` points have one."""
 
     def leaves(k: int, u: float) -> float:
         return crossing(links, k + 1, u)[0] if k + 1 < len(links) else end[2]
@@ -252,8 +371,8 @@ def shapes_drawn(links: list, link: int, end: np.ndarray, arm_m: float, count: i
     def joint(a: float, b: float) -> float:
         return float(np.clip(0, min(a, b), max(a, b)) if rng.uniform() < 0.5 else rng.uniform(min(a, b), max(a, b)))
 
-    points, inwards = [], []
-    while len(points) < count:
+    points, inwards, seen_m2 = [], [], []
+    while np.count_nonzero(seen_m2) < count:
         radius = arm_m * np.exp(rng.uniform(np.log(0.02), np.log(0.08)))
         beyond, longer, u = rng.uniform(size=3)
         own = crossing(links, link, u)[1]
@@ -286,10 +405,10 @@ def shapes_drawn(links: list, link: int, end: np.ndarray, arm_m: float, count: i
             for k, (a, b, c) in enumerate(parts)
             if k != chosen
         ]
-        if all(apart):
-            points.append(point)
-            inwards.append(-way)
-    return np.array(points), np.array(inwards)
+        points.append(point)
+        inwards.append(-way)
+        seen_m2.append(areas.sum() if all(apart) else 0.0)
+    return np.array(points), np.array(inwards), np.array(seen_m2)
 
 
 def mass_allows(link, points: np.ndarray) -> np.ndarray:
@@ -301,9 +420,10 @@ def mass_allows(link, points: np.ndarray) -> np.ndarray:
     return 0.1 + 0.9 * np.exp(-(np.maximum(beyond, 0) ** 2))
 
 
-def with_mass(body, points: np.ndarray, inwards: np.ndarray) -> tuple:
-    share = mass_allows(body, points)
-    return points, inwards, share / share.sum()
+def with_mass(body, points: np.ndarray, inwards: np.ndarray, areas: np.ndarray) -> tuple:
+    """Points with an area, inwards, share and mean area."""
+    share, seen = mass_allows(body, points), areas > 0
+    return points[seen], inwards[seen], share[seen] / share[seen].sum(), share @ areas / share.sum()
 
 
 @pytest.mark.parametrize("arm", ["seven_axis.urdf", "../packages/lab/benchmarks/unseen/palletizer.urdf"])
@@ -321,8 +441,9 @@ def test_a_guess_has_the_shapes_of_its_definition(arm):
         drawn = with_mass(body, *shapes_drawn(bare.links, link, end, arm_m, 1000, rng))
         both = [
             (np.concatenate([points, 0.1 * inwards], axis=1), share)
-            for points, inwards, share in (list(ours.values()), drawn)
+            for points, inwards, share, _ in (list(ours.values()), drawn)
         ]
+        assert ours["area_m2"][0] == pytest.approx(drawn[3], rel=0.1)
         # Standard errors of 1000 draws are 0.3 to 0.6 % of the arm's length.
         np.testing.assert_allclose(*(share @ one for one, share in both), atol=0.02 * arm_m)
         spreads = [np.cov(one.T, aweights=share) for one, share in both]
@@ -340,9 +461,9 @@ def test_probabilities_of_guessed_links_are_sums_over_shapes(bundle):
     for link, point, force in ((4, [0.05, 0, -0.15], [-30.0, 5, 5]), (2, [0, 0.05, -0.08], [0, -25.0, 9])):
         tau, sigma = columns(wrenches, bare, link, q, point).T @ force, 3 * SIGMA  # few draws suffice
         s = wrenches.covariance(True, tau.tolist(), sigma.tolist())
-        logs = [evidence(wrenches, bare, k, q, tau, s, one, ACROSS_GUESS) for k, one in enumerate(surfaces)]
+        logs = [evidence(wrenches, bare, k, q, tau, s, one, NORMAL_GUESSED) for k, one in enumerate(surfaces)]
         told = model.find(q, tau.tolist(), sigma.tolist(), places=False).probability
-        np.testing.assert_allclose(told, np.exp(logs - logsumexp(logs)), atol=0.08)
+        np.testing.assert_allclose(told, probabilities(logs, surfaces), atol=0.08)
 
 
 def test_a_link_whose_next_joint_coincides_gets_length(bundle):

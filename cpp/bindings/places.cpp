@@ -3,6 +3,7 @@
 
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
+#include <nanobind/stl/pair.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
@@ -42,6 +43,7 @@ ArrayDict arrays_of(LinkSurface surface) {
   out["points"] = to_numpy(std::move(at), {size, 3});
   out["inwards"] = to_numpy(std::move(inwards), {size, 3});
   out["share"] = to_numpy(std::move(surface.share), {size});
+  out["area_m2"] = to_numpy(std::vector<double>{surface.area_m2}, {1});
   return out;
 }
 
@@ -79,12 +81,16 @@ void bind_result(nb::module_& m) {
       .def_prop_ro(
           "best",
           [](const Found& f) -> std::optional<TouchPlace> {
-            if (f.told.places == 0) return std::nullopt;
-            for (int k = 0; k < f.told.places; ++k)
-              if (const TouchPlace& one = f.told.place[static_cast<std::size_t>(k)]; one.link == f.told.ranked[0]) return one;
-            return f.told.place[0];
+            return f.told.best < 0 ? std::nullopt : std::optional(f.told.place[static_cast<std::size_t>(f.told.best)]);
           },
           "Most probable place on the most probable link, else on any link. None: no place.")
+      .def_prop_ro("force_n", [](const Found& f) { return f.told.force_n; },
+                   "Median of the force over all places and links, [N]; 0 without places.")
+      .def_prop_ro(
+          "force_interval_n", [](const Found& f) { return std::make_pair(f.told.force_low_n, f.told.force_high_n); },
+          "The force is within these bounds with 90 %, [N].")
+      .def_prop_ro("within_m", [](const Found& f) { return f.told.within_m; },
+                   "The touch is within this distance of the best place with 90 %, [m].")
       .def_prop_ro("consistent", [](const Found& f) { return f.told.consistent; },
                    "Probability that a force at the first place leaves such a remainder or a larger one; NaN without places.")
       .def_prop_ro("at_frame", [](const Found& f) { return f.at_frame; },
@@ -112,7 +118,7 @@ void bind_surfaces(nb::module_& m) {
         return arrays_of(surface_of(capsules, points));
       },
       nb::arg("capsules"), nb::arg("points"),
-      "Points spread evenly over the union of a link's capsules: points (n, 3), inwards (n, 3), share (n,) of the area.");
+      "Points spread evenly over the union of a link's capsules: points (n, 3), inwards (n, 3), share (n,) of the area, area_m2 (1,).");
   m.def(
       "guessed_surface",
       [](const Bundle& bundle, int link, int points) {
@@ -123,7 +129,7 @@ void bind_surfaces(nb::module_& m) {
       },
       nb::arg("bundle"), nb::arg("link"), nb::arg("points"),
       "Points of shapes that a link may have, at most as many as given: points (n, 3), inwards (n, 3), share (n,), the "
-      "probability of each.");
+      "probability of each, area_m2 (1,), the mean.");
 }
 
 }  // namespace

@@ -58,10 +58,12 @@ void add_point(Vector3 p, Vector3 inwards, double share, LinkSurface& into) {
   into.share.push_back(share);
 }
 
-void even_out(LinkSurface& surface) {
+// Makes the shares sum to 1, and returns their sum before.
+double even_out(LinkSurface& surface) {
   double sum = 0;
   for (double share : surface.share) sum += share;
   for (double& share : surface.share) share /= sum;
+  return sum;
 }
 
 // Rows around the capsule, at equal arc steps from pole to pole; each row has as many points as steps fit its length.
@@ -95,7 +97,7 @@ LinkSurface surface_of(std::span<const Capsule> capsules, int points) {
   }
   LinkSurface surface;
   for (std::size_t k = 0; k < lines.size(); ++k) add_rows(lines, k, std::sqrt(area / points), surface);
-  even_out(surface);
+  surface.area_m2 = even_out(surface);
   return surface;
 }
 
@@ -160,6 +162,10 @@ std::array<double, kDraws> even(int point) {
   return u;
 }
 
+struct Drawn {
+  double area_m2, share;
+};
+
 // What the robot file contains about the shape of a link.
 class Guess {
  public:
@@ -184,8 +190,9 @@ class Guess {
     }
   }
 
-  // A point of a shape, both drawn by u; none if the point is inside the shape.
-  void draw(const std::array<double, kDraws>& u, LinkSurface& into) const {
+  // Adds a point of a shape, both drawn by u; none if the point is inside the shape. Returns the shape's area, of which
+  // nothing counts then, and the share of such shapes.
+  Drawn draw(const std::array<double, kDraws>& u, LinkSurface& into) const {
     const double radius = arm_m_ * kSlimmest * std::pow(kThickest / kSlimmest, u[0]);
     const std::vector<Line> lines = lines_of(u, radius);
     double all = 0;
@@ -200,7 +207,9 @@ class Guess {
     const auto [a, b] = across_of(line.along);
     const Vector3 out = rise * line.along + std::sqrt(1 - rise * rise) * (std::cos(turned) * a + std::sin(turned) * b);
     const Vector3 p = line.start + foot * line.along + radius * out;
-    if (!hidden(lines, part, p)) add_point(p, -1.0 * out, mass_allows(p), into);
+    const bool seen = !hidden(lines, part, p);
+    if (seen) add_point(p, -1.0 * out, mass_allows(p), into);
+    return {seen ? all : 0.0, mass_allows(p)};
   }
 
  private:
@@ -277,7 +286,13 @@ class Guess {
 LinkSurface guessed_surface(const Bundle& bundle, int link, int points) {
   const Guess guess(bundle, link);
   LinkSurface surface;
-  for (int point = 0; point < points; ++point) guess.draw(even(point), surface);
+  double shapes = 0;
+  for (int point = 0; point < points; ++point) {
+    const Drawn drawn = guess.draw(even(point), surface);
+    surface.area_m2 += drawn.share * drawn.area_m2;
+    shapes += drawn.share;
+  }
+  surface.area_m2 /= shapes;
   even_out(surface);
   return surface;
 }

@@ -7,6 +7,7 @@
 
 #include "bundle/linear.hpp"
 #include "chain/vector3.hpp"
+#include "touch/cone_fit.hpp"
 #include "tauext/bundle.hpp"
 
 namespace tauext {
@@ -17,21 +18,34 @@ struct Size {
   double mean_n, across, more, weight;
 };
 
-constexpr std::size_t kParts = PlaceModel::kSizes_n.size() + 1;
+constexpr std::size_t kSizes = PlaceModel::kSizes_n.size(), kWays = PlaceModel::kAcross.size(), kParts = kSizes * kWays + 1;
 
-constexpr std::array<Size, kParts> sizes(double across_share) noexcept {
-  std::array<Size, kParts> all{};
-  for (std::size_t k = 0; k + 1 < kParts; ++k) {
-    const double s = PlaceModel::kSizes_n[k];
-    const double along = 1 / (PlaceModel::kAlong * PlaceModel::kAlong * s * s);
-    const double across = 1 / (across_share * across_share * s * s);
-    all[k] = {s, across, along - across, (1 - PlaceModel::kHolds) / static_cast<double>(kParts - 1)};
+// Probability of each size.
+std::array<double, kSizes> size_weights() noexcept {
+  std::array<double, kSizes> weights{};
+  double sum = 0;
+  for (std::size_t k = 0; k < kSizes; ++k) {
+    const double off = std::log(PlaceModel::kSizes_n[k] / PlaceModel::kMedian_n) / PlaceModel::kLogSpread;
+    sum += weights[k] = std::pow(1 + off * off / PlaceModel::kFreedom, -0.5 * (PlaceModel::kFreedom + 1));
   }
+  for (double& weight : weights) weight /= sum;
+  return weights;
+}
+const std::array<double, kSizes> kSizeWeights = size_weights();
+
+std::array<Size, kParts> mixture_of(double normal_error) noexcept {
+  std::array<Size, kParts> all{};
+  for (std::size_t k = 0; k < kSizes; ++k)
+    for (std::size_t way = 0; way < kWays; ++way) {
+      const double s = PlaceModel::kSizes_n[k], b = std::hypot(PlaceModel::kAcross[way], normal_error);
+      const double along = 1 / (PlaceModel::kAlong * PlaceModel::kAlong * s * s), across = 1 / (b * b * s * s);
+      all[k * kWays + way] = {s, across, along - across, (1 - PlaceModel::kHolds) / kWays * kSizeWeights[k]};
+    }
   all[kParts - 1] = {0, 1 / (PlaceModel::kHolds_n * PlaceModel::kHolds_n), 0, PlaceModel::kHolds};
   return all;
 }
 
-constexpr std::array<std::array<Size, kParts>, 2> kMixtures{sizes(PlaceModel::kAcross), sizes(PlaceModel::kAcrossGuess)};
+const std::array<std::array<Size, kParts>, 2> kMixtures{mixture_of(PlaceModel::kNormalGiven), mixture_of(PlaceModel::kNormalGuessed)};
 
 // Logarithm of |P|^-1/2 times exp(-m^T P^-1 m / 2) times the weight.
 double before(const Size& size) noexcept {
@@ -110,41 +124,71 @@ std::vector<std::vector<std::uint32_t>> neighbours(const LinkSurface& surface, d
   return all;
 }
 
+// Logarithm of the sum of the exponentials of log(0) to log(count - 1).
+template <typename Log>
+double log_sum(Log&& log, std::size_t count) noexcept {
+  double most = -std::numeric_limits<double>::infinity(), sum = 0;
+  for (std::size_t k = 0; k < count; ++k) most = std::max(most, log(k));
+  for (std::size_t k = 0; k < count; ++k) sum += std::exp(log(k) - most);
+  return most + std::log(sum);
+}
+
 constexpr double kFarBelow = -40;  // smaller exponentials do not change a sum of such terms
+constexpr double kNoMatter = 1e-4, kNoPart = 0.01;  // less probable points, and components at a point, are left out
 
 }  // namespace
 
+void PlaceModel::ForceSizes::add(double n, double weight) noexcept {
+  const double at = std::clamp(std::log(std::max(n, kLeast_n) / kLeast_n) / kStep, 0.0, static_cast<double>(probability.size() - 1));
+  probability[static_cast<std::size_t>(at)] += weight;
+}
+
+double PlaceModel::ForceSizes::quantile(double share) const noexcept {
+  double left = share * std::accumulate(probability.begin(), probability.end(), 0.0);
+  std::size_t k = 0;
+  while (k + 1 < probability.size() && left > probability[k]) left -= probability[k++];
+  return kLeast_n * std::exp(kStep * (static_cast<double>(k) + (probability[k] > 0 ? left / probability[k] : 0)));
+}
+
 PlaceModel::PlaceModel(const Bundle& bundle) : wrench_(bundle) {
-  std::size_t most = 0;
+  const auto n = static_cast<std::size_t>(bundle.joints());
+  double area_m2 = 0;
   for (int link = 0; link < bundle.joints(); ++link) {
     std::vector<Capsule> own;
     for (const Capsule& one : bundle.capsules)
       if (one.link == link) own.push_back(one);
     guessed_.push_back(own.empty());
-    coarse_.push_back(own.empty() ? guessed_surface(bundle, link, kGuessPoints) : surface_of(own, kRankingPoints));
-    fine_.push_back(own.empty() ? coarse_.back() : surface_of(own, kPlacePoints));
-    near_.push_back(neighbours(fine_.back(), 0.5 * kApart_m));
-    most = std::max({most, coarse_.back().size(), fine_.back().size()});
+    surfaces_.push_back(own.empty() ? guessed_surface(bundle, link, kGuessPoints) : surface_of(own, kPoints));
+    near_.push_back(neighbours(surfaces_.back(), 0.5 * kApart_m));
+    most_ = std::max(most_, surfaces_.back().size());
+    area_m2 += surfaces_.back().area_m2;
   }
-  const auto n = static_cast<std::size_t>(bundle.joints());
-  logs_.resize(most);
-  weights_.resize(most);
-  seen_at_.resize(most * kSeenAt);
-  quadratic_.resize(most * kParts);
-  scale_.resize(most * kParts);
+  for (const LinkSurface& surface : surfaces_) log_prior_.push_back(std::log(surface.area_m2 / area_m2));
+  logs_.resize(n * most_);
+  weights_.resize(n * most_);
+  left_.resize(most_);
+  seen_at_.resize(most_ * kSeenAt);
+  quadratic_.resize(most_ * kParts);
+  scale_.resize(most_ * kParts);
   seen_.resize(n);
   q_.resize(n);
 }
 
+std::span<double> PlaceModel::of(std::size_t link, std::vector<double>& values) const noexcept {
+  return std::span(values).subspan(link * most_, surfaces_[link].size());
+}
+
 // Integral over forces for each point, and the log of its sum over components. The loops have no branches or calls, so
 // that compilers vectorise them.
-double PlaceModel::evidence(std::size_t link, const LinkSurface& surface, std::span<double> logs) noexcept {
-  const Information& of = seen_[link];
+double PlaceModel::evidence(std::size_t link) noexcept {
+  const Information& information = seen_[link];
+  const LinkSurface& surface = surfaces_[link];
   const std::array<Size, kParts>& mixture = kMixtures[guessed_[link]];
+  const std::span<double> logs = of(link, logs_);
   const std::size_t points = surface.size();
   double* const seen = seen_at_.data();
   for (std::size_t i = 0; i < points; ++i) {
-    const SeenAt at = seen_at(of, surface.x[i], surface.y[i], surface.z[i]);
+    const SeenAt at = seen_at(information, surface.x[i], surface.y[i], surface.z[i]);
     const double all[kSeenAt] = {at.m.xx, at.m.yy, at.m.zz, at.m.xy, at.m.xz, at.m.yz, at.bx, at.by, at.bz};
     for (std::size_t k = 0; k < kSeenAt; ++k) seen[k * points + i] = all[k];
   }
@@ -183,36 +227,35 @@ double PlaceModel::evidence(std::size_t link, const LinkSurface& surface, std::s
   return best + std::log(sum);
 }
 
-// Posterior mean, averaged over the mixture.
-std::array<double, 3> PlaceModel::force_at(std::size_t link, std::size_t point) const noexcept {
-  const LinkSurface& surface = fine_[link];
+// Adds the posterior of the force's size at a point, and returns the mean force. Sizes of a component of the mixture are
+// taken as normal, at three sizes.
+std::array<double, 3> PlaceModel::add_forces(std::size_t link, std::size_t point, double weight, ForceSizes& sizes) const noexcept {
+  constexpr std::array<double, 3> kSpread{-1.2247, 0, 1.2247};  // has the normal distribution's variance
+  const LinkSurface& surface = surfaces_[link];
   const std::array<Size, kParts>& mixture = kMixtures[guessed_[link]];
-  const double nx = surface.nx[point], ny = surface.ny[point], nz = surface.nz[point];
   const SeenAt alone = seen_at(seen_[link], surface.x[point], surface.y[point], surface.z[point]);
   std::array<double, kParts> logs;
-  std::array<std::array<double, 3>, kParts> means;
+  std::array<SeenAt, kParts> at;
   for (std::size_t part = 0; part < kParts; ++part) {
-    const SeenAt at = with(alone, mixture[part], nx, ny, nz);
-    const Solved solved = solve(at.m, at.bx, at.by, at.bz);
+    at[part] = with(alone, mixture[part], surface.nx[point], surface.ny[point], surface.nz[point]);
+    const Solved solved = solve(at[part].m, at[part].bx, at[part].by, at[part].bz);
     logs[part] = before(mixture[part]) + 0.5 * solved.quadratic - 0.5 * std::log(solved.determinant);
-    std::array<double, 9> k{at.m.xx, 0, 0, at.m.xy, at.m.yy, 0, at.m.xz, at.m.yz, at.m.zz};
-    means[part] = {at.bx, at.by, at.bz};
-    if (!cholesky(k, 3)) means[part] = {0, 0, 0};
-    forward(k, 3, means[part]);
-    for (std::size_t r = 3; r-- > 0;) {
-      for (std::size_t c = r + 1; c < 3; ++c) means[part][r] -= k[3 * c + r] * means[part][c];
-      means[part][r] /= k[3 * r + r];
-    }
   }
   const double most = *std::ranges::max_element(logs);
-  std::array<double, 3> mean{};
   double sum = 0;
+  for (double& log : logs) sum += log = std::exp(log - most);
+  std::array<double, 3> mean{};
   for (std::size_t part = 0; part < kParts; ++part) {
-    const double weight = std::exp(logs[part] - most);
-    sum += weight;
-    for (std::size_t i = 0; i < 3; ++i) mean[i] += weight * means[part][i];
+    const double share = logs[part] / sum;
+    if (share < kNoPart) continue;
+    const Symmetric& m = at[part].m;
+    const Symmetric3 covariance = Symmetric3{m.xx, m.yy, m.zz, m.xy, m.xz, m.yz}.inverse();
+    const Vector3 f = covariance.times({at[part].bx, at[part].by, at[part].bz});
+    const double size = std::sqrt(dot(f, f)), along = size > 0 ? dot(f, covariance.times(f)) / (size * size) : 0;
+    const double across = covariance.xx + covariance.yy + covariance.zz - along, middle = std::sqrt(size * size + across);
+    for (const double z : kSpread) sizes.add(middle + z * std::sqrt(along), weight * share / kSpread.size());
+    mean = {mean[0] + share * f.x, mean[1] + share * f.y, mean[2] + share * f.z};
   }
-  for (double& value : mean) value /= sum;
   return mean;
 }
 
@@ -231,6 +274,8 @@ void PlaceModel::rank(std::span<const double> q, std::span<const double> tau_ext
   const std::size_t rows = wrench_.told().size();
   wrench_.keep_told(s, n, true);
   wrench_.keep_told(y, 1, false);
+  tau_ = y;
+  s_ = s;
   if (!cholesky(std::span(s).first(rows * rows), rows)) return;
   forward(s, rows, std::span(y).first(rows));
   std::array<double, kMaxJoints> logs{};
@@ -252,7 +297,8 @@ void PlaceModel::rank(std::span<const double> q, std::span<const double> tau_ext
       of.f[i] = std::inner_product(&columns[i * rows], &columns[i * rows] + rows, y.data(), 0.0);
       of.m[i] = std::inner_product(&columns[(3 + i) * rows], &columns[(3 + i) * rows] + rows, y.data(), 0.0);
     }
-    logs[link] = evidence(link, coarse_[link], logs_);
+    log_link_[link] = evidence(link);
+    logs[link] = log_prior_[link] + kTrust * log_link_[link];
   }
   const double best = *std::max_element(logs.begin(), logs.begin() + static_cast<std::ptrdiff_t>(n));
   if (!std::isfinite(best)) return;
@@ -265,33 +311,40 @@ void PlaceModel::rank(std::span<const double> q, std::span<const double> tau_ext
     const double pa = into.probability[static_cast<std::size_t>(a)], pb = into.probability[static_cast<std::size_t>(b)];
     return pa != pb ? pa > pb : a < b;
   });
-  log_elsewhere_ = best + std::log(sum / static_cast<double>(n));
+  log_elsewhere_ = log_sum([&](std::size_t link) noexcept { return log_prior_[link] + log_link_[link]; }, n);
   std::ranges::copy(q.first(n), q_.begin());
-  whitened_tau_ = y;
-  factor_ = s;
   into.known = true;
 }
 
 void PlaceModel::locate(TouchPlaces& into, int given) noexcept {
   const auto n = static_cast<std::size_t>(joints());
   into.places = 0;
+  into.best = -1;
   if (!into.known) return;
+  ForceSizes sizes;
   for (std::size_t link = 0; link < n; ++link)
-    if (given == static_cast<int>(link) || (given < 0 && into.probability[link] >= kLeast))
-      place_on(link, given < 0 ? into.probability[link] : 1.0, into);
+    if (given < 0 || given == static_cast<int>(link)) place_on(link, given < 0 ? into.probability[link] : 1.0, sizes, into);
   if (into.places == 0) return;
-  // Chi-square left by the first place.
+  bound(given, sizes, into);
+  // Chi-square left by the first place, whose point is wrong by kOff_m along each axis.
   const TouchPlace& first = into.place[0];
   std::array<double, 6 * kMaxJoints> columns;
   wrench_.columns(first.link, q_, first.on_link, WrenchAxes::base, columns);
-  std::array<double, kMaxJoints> left{};
-  for (std::size_t j = 0; j < n; ++j)
-    for (std::size_t i = 0; i < 3; ++i) left[j] += columns[i * n + j] * first.force[i];
+  wrench_.keep_told(columns, 6, false);
   const std::span<const std::size_t> told = wrench_.told();
-  wrench_.keep_told(left, 1, false);
-  forward(factor_, told.size(), std::span(left).first(told.size()));
-  double chi_square = 0;
-  for (std::size_t j = 0; j < told.size(); ++j) chi_square += std::pow(whitened_tau_[j] - left[j], 2);
+  const std::size_t rows = told.size();
+  const Vector3 f = vector3(first.force);
+  const double moment_nm = kOff_m * std::sqrt(dot(f, f));
+  std::array<double, kMaxJoints> left = tau_;
+  std::array<double, kMaxJoints * kMaxJoints> s = s_;
+  for (std::size_t j = 0; j < rows; ++j) {
+    for (std::size_t i = 0; i < 3; ++i) left[j] -= columns[i * rows + j] * first.force[i];
+    for (std::size_t k = 0; k < rows; ++k)
+      for (std::size_t i = 3; i < 6; ++i) s[j * rows + k] += moment_nm * moment_nm * columns[i * rows + j] * columns[i * rows + k];
+  }
+  if (!cholesky(std::span(s).first(rows * rows), rows)) return;
+  forward(s, rows, std::span(left).first(rows));
+  double chi_square = std::inner_product(left.begin(), left.begin() + static_cast<std::ptrdiff_t>(rows), left.begin(), 0.0);
   // Three unknowns of the force and two of the point, as far as the joints below the point can determine them.
   const auto on_the_way = std::ranges::count_if(told, [&first](std::size_t j) noexcept { return static_cast<int>(j) <= first.link; });
   const int freedom = static_cast<int>(told.size()) - std::min(static_cast<int>(on_the_way), 5);
@@ -300,11 +353,15 @@ void PlaceModel::locate(TouchPlaces& into, int given) noexcept {
 }
 
 // Clusters of points: the densest one with all points within kApart_m, then the same for the rest.
-void PlaceModel::place_on(std::size_t link, double probability, TouchPlaces& into) noexcept {
-  const LinkSurface& surface = fine_[link];
+void PlaceModel::place_on(std::size_t link, double probability, ForceSizes& sizes, TouchPlaces& into) noexcept {
+  const LinkSurface& surface = surfaces_[link];
   const std::size_t points = surface.size();
-  const double sum = evidence(link, surface, logs_);
-  for (std::size_t i = 0; i < points; ++i) weights_[i] = std::exp(logs_[i] - sum);
+  const std::span<const double> logs = of(link, logs_);
+  const std::span<double> weights = of(link, weights_);
+  for (std::size_t i = 0; i < points; ++i) {
+    left_[i] = weights[i] = std::exp(logs[i] - log_link_[link]);
+    if (weights[i] * probability >= kNoMatter) add_forces(link, i, weights[i] * probability, sizes);
+  }
   const auto at = [&surface](std::size_t i) noexcept { return Vector3{surface.x[i], surface.y[i], surface.z[i]}; };
   const auto [rotation, origin] = wrench_.pose(static_cast<int>(link), q_);
   const Turn out = turn(rotation);
@@ -313,7 +370,7 @@ void PlaceModel::place_on(std::size_t link, double probability, TouchPlaces& int
     double most = 0;
     for (std::size_t i = 0; i < points; ++i) {
       double near = 0;
-      for (const std::uint32_t k : near_[link][i]) near += weights_[k];
+      for (const std::uint32_t k : near_[link][i]) near += left_[k];
       if (near > most) {
         most = near;
         densest = i;
@@ -324,8 +381,8 @@ void PlaceModel::place_on(std::size_t link, double probability, TouchPlaces& int
     double mass = 0;
     for (std::size_t i = 0; i < points; ++i)
       if (grouped(i)) {
-        mass += weights_[i];
-        mean = mean + weights_[i] * at(i);
+        mass += left_[i];
+        mean = mean + left_[i] * at(i);
       }
     if (!(mass > 0)) return;
     mean = (1 / mass) * mean;
@@ -335,10 +392,11 @@ void PlaceModel::place_on(std::size_t link, double probability, TouchPlaces& int
     double spread = 0;
     for (std::size_t i = 0; i < points; ++i)
       if (grouped(i)) {
-        spread += weights_[i] * squared_distance(surface, i, at(nearest));
-        weights_[i] = 0;
+        spread += left_[i] * squared_distance(surface, i, at(nearest));
+        left_[i] = 0;
       }
-    const Vector3 p = vector3(origin) + out.out(at(nearest)), f = out.out(vector3(force_at(link, nearest)));
+    ForceSizes unused;
+    const Vector3 p = vector3(origin) + out.out(at(nearest)), f = out.out(vector3(add_forces(link, nearest, 0, unused)));
     add({static_cast<int>(link), mass * probability, {p.x, p.y, p.z},
          {surface.x[nearest], surface.y[nearest], surface.z[nearest]}, {f.x, f.y, f.z}, std::sqrt(spread / mass),
          guessed(static_cast<int>(link))},
@@ -347,22 +405,46 @@ void PlaceModel::place_on(std::size_t link, double probability, TouchPlaces& int
   }
 }
 
+// The best place, how far from it the touch may be, and how large its force.
+void PlaceModel::bound(int given, const ForceSizes& sizes, TouchPlaces& into) const noexcept {
+  into.best = 0;
+  for (int k = into.places; k-- > 0;)
+    if (into.place[static_cast<std::size_t>(k)].link == into.ranked[0]) into.best = k;
+  const TouchPlace& best = into.place[static_cast<std::size_t>(into.best)];
+  into.force_n = sizes.quantile(0.5);
+  into.force_low_n = sizes.quantile(0.5 - 0.5 * TouchPlaces::kStated);
+  into.force_high_n = sizes.quantile(0.5 + 0.5 * TouchPlaces::kStated);
+  constexpr double kStep_m = 0.01;
+  std::array<double, 400> by_distance{};
+  for (std::size_t link = 0; link < surfaces_.size(); ++link) {
+    const double probability = given < 0 ? into.probability[link] : given == static_cast<int>(link) ? 1.0 : 0.0;
+    if (probability < kNoMatter) continue;
+    const auto [rotation, origin] = wrench_.pose(static_cast<int>(link), q_);
+    const Vector3 from = turn(rotation).back(vector3(best.point) - vector3(origin));
+    for (std::size_t i = 0; i < surfaces_[link].size(); ++i) {
+      const double far = std::sqrt(squared_distance(surfaces_[link], i, from)) / kStep_m;
+      by_distance[static_cast<std::size_t>(std::min(far, static_cast<double>(by_distance.size() - 1)))] += probability * weights_[link * most_ + i];
+    }
+  }
+  double left = TouchPlaces::kStated * std::accumulate(by_distance.begin(), by_distance.end(), 0.0);
+  std::size_t k = 0;
+  while (k + 1 < by_distance.size() && left > by_distance[k]) left -= by_distance[k++];
+  into.within_m = kStep_m * static_cast<double>(k + 1);
+}
+
 double PlaceModel::at_frame(int frame) const noexcept {
   if (std::isnan(log_elsewhere_) || frame < 0 || frame >= wrench_.frames()) return std::numeric_limits<double>::quiet_NaN();
   const WrenchFrame& at = wrench_.frame(frame);
   const SeenAt alone = seen_at(seen_[static_cast<std::size_t>(at.link)], at.translation[0], at.translation[1], at.translation[2]);
-  double most = -std::numeric_limits<double>::infinity(), sum = 0;
   std::array<double, kSizes_n.size()> logs;
   for (std::size_t k = 0; k < kSizes_n.size(); ++k) {
     const double across = 3 / (kSizes_n[k] * kSizes_n[k]);  // the same size over all directions
-    const Size size{0, across, 0, 1 / static_cast<double>(kSizes_n.size())};
+    const Size size{0, across, 0, kSizeWeights[k]};
     const SeenAt here = with(alone, size, 0, 0, 1);
     const Solved solved = solve(here.m, here.bx, here.by, here.bz);
     logs[k] = before(size) + 0.5 * solved.quadratic - 0.5 * std::log(solved.determinant);
-    most = std::max(most, logs[k]);
   }
-  for (const double log : logs) sum += std::exp(log - most);
-  return 1 / (1 + std::exp(log_elsewhere_ - most - std::log(sum)));
+  return 1 / (1 + std::exp(log_elsewhere_ - log_sum([&](std::size_t k) noexcept { return logs[k]; }, logs.size())));
 }
 
 void PlaceModel::add(const TouchPlace& place, TouchPlaces& into) const noexcept {

@@ -92,7 +92,7 @@ RULES: dict[str, Rule] = {
         ("t_ns held_ns from_ns to_ns", lambda value: is_whole(value, LARGEST_STAMP), "a whole number of ns"),
         ("seconds minutes hours replayed_s", lambda value: is_number(value, 0.0), f"a number of 0 to {LARGEST:g}"),
         ("false_alarms in_hours", lambda value: is_number(value, 1e-6) and value <= 1e6, "a number of 1e-6 to 1e6"),
-        ("between_per_hour", _or_none(lambda value: isinstance(value, list) and len(value) == 2 and
+        ("between_per_hour newtons_interval", _or_none(lambda value: isinstance(value, list) and len(value) == 2 and
          all(map(is_number, value))), "two finite numbers or null"),
         ("promised_per_hour proved_per_hour per_hour before hits error_ratio test_minutes tau_ext_nm limit_nm newtons "
          "took_us", _or_none(is_number), "a finite number or null"),

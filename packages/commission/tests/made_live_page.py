@@ -37,8 +37,8 @@ JOINTS = {
         "wrist_3_joint",
     ),
 }
-SENTENCE = "Touched at joint2, about 34 N"
-DETAILS = "COLLISION, a push on the link of joint2 (91%): 12.4 Nm at joint2, limit 5.6 Nm"
+SENTENCE = "Touched at joint2, 28 to 42 N"
+DETAILS = "COLLISION, a push on the link of joint2: 12.4 Nm at joint2, limit 5.6 Nm"
 SHARES = {"partly": (0.972, 1), "blind": (0.613, 2)}
 """Share of the last minute that was monitored, and its level."""
 
@@ -210,7 +210,7 @@ def write_folder(folder: Path, state: str, arm: str = "rig") -> None:
         journal.append(folder, one["kind"], one)
     events = [
         {"id": 15, "wall": now(5000), "level": "contact", "joint": joints[0], "answer": "nothing", "by": "page",
-         "sentence": "Touched at joint1, about 6 N", "details": "Contact on the link of joint1 (80%)", "t_ns": 0,
+         "sentence": "Touched at joint1, 5 to 8 N", "details": "Contact on the link of joint1", "t_ns": 0,
          "flight": None},
         {"id": 16, "wall": now(90), "level": "collision", "joint": joints[1], "t_ns": 3_000_000_000,
          "sentence": SENTENCE, "details": DETAILS, "answer": None if state == "unanswered" else "touched",

@@ -31,7 +31,7 @@ from tauext_commission.run import AGAIN_S, Commission
 
 from tauext.bundle.estimates import CONTACT, OK, STALE, rounded
 from tauext.errors import ConfigError
-from tauext.monitor.changes import AlarmChange
+from tauext.monitor.changes import ChangeFinder
 from tauext.monitor.control_lines import obey
 from tauext.monitor.episode import Episode, EpisodeFinder
 from tauext.monitor.flight_files import FlightNews
@@ -159,23 +159,28 @@ def test_a_page_that_is_opened_gets_the_past(tmp_path):
         assert max(abs(tau[0]) for _, tau, *_ in past if tau) > 3  # the push, seconds ago
 
 
-def test_force_and_torque_of_an_alarm_are_of_one_moment():
-    def facts(t_ns, change):
-        at = {"held_alarm": 0, "touch_over": 0, "touch_t_ns": t_ns, "limit_nm": np.ones(2), "margin_nm": np.ones(2)}
-        (one,) = finder.find(
-            change.row, np.array([t_ns]), {name: np.array([value]) for name, value in at.items()}, (change,)
-        )
-        return one.facts(("a", "b"), ("N m", "N m"))
+def test_an_alarm_has_the_torque_of_its_peak_with_the_limit_there_less_what_is_explained():
+    def facts(t_ns, tau, limit, declared, *changes):
+        at = {"held_alarm": 2, "touch_over": 0, "touch_t_ns": t_ns, "alarm": 2, "alarm_joint": 1, "alarm_number": 3}
+        torques = {"tau_ext": (0.1, tau), "declared_nm": (0.0, declared), "limit_nm": (1.0, limit)}
+        torques |= {"margin_nm": (0.9, limit - abs(tau - declared)), "sigma_nm": (0.1, 0.1), "near_stiction": (0, 0)}
+        estimates = {name: np.array([value]) for name, value in (at | torques).items()}
+        changes = changes or (ChangeFinder._alarm_change(0, t_ns, 0, 0, estimates),)
+        (one,) = finder.find(changes[0].row, np.array([t_ns]), estimates, changes)
+        return changes[0], one.facts(("a", "b"), ("N m", "N m"))
 
     finder = EpisodeFinder()
-    rise = AlarmChange(1, 10, 2, 0, 1, 2.5, 2.0, number=3)
+    rise, risen = facts(10, 12.5, 2.0, 10.0)
+    assert (risen["sentence"], risen["tau_ext_nm"], risen["limit_nm"]) == ("Touched at b or beyond it", 2.5, 2.0)
+    assert "|tau_ext - explained| 2.50 Nm" in rise.words(("a", "b"), ("N m", "N m"))[0]
     best = SimpleNamespace(link=1, point=(0, 0, 0), force=(0.0, 84.3, 0.0))
-    place = PlaceChange(5, 50, 2, 1, 0.1, ((1, 0.95), (0, 0.05)), (), best, 0.5, None, (0.1, -21.0), 3)
-    risen = facts(10, rise)
-    assert (risen["sentence"], risen["tau_ext_nm"]) == ("Touched at b or beyond it", 2.5)
-    placed = facts(50, place)
-    assert placed["sentence"] == "Touched at b, about 84 N"
-    assert placed["details"] == "COLLISION on the link of b (95%; a 5%): 21 Nm at b, limit 2 Nm"
+    links = ((1, 0.95), (0, 0.05))
+    place = PlaceChange(5, 50, 2, 1, 0.1, links, (), best, 0.1, 84.3, (70.0, 101.0), 0.5, None, 3)
+    _, placed = facts(50, -21.0, 3.0, 0.0, place)
+    assert placed["sentence"] == "Touched at b, 70 to 100 N"
+    assert placed["details"] == "COLLISION on the link of b: 21 Nm at b, limit 3 Nm"
+    _, later = facts(60, 2.6, 2.55, 0.0, replace(place, row=6, t_ns=60))  # weaker: the peak stays
+    assert later["details"] == placed["details"] and later["newtons_interval"] == [70.0, 101.0]
 
 
 def test_suspects_are_labels_and_a_line_of_the_history(tmp_path):

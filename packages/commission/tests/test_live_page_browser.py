@@ -207,7 +207,7 @@ def test_a_state_is_shown(browser, tmp_path, state, arm, width, height, scheme):
         if state in ("alarm", "answered"):
             until(lambda: page.value(GREEN) == [], "nothing green while the alarm stands")
             assert page.value("alarm.getBoundingClientRect().top < banner.getBoundingClientRect().top")
-            assert page.value("alarm.children[0].innerText") == "Touched at joint2, about 34 N"
+            assert page.value("alarm.children[0].innerText") == "Touched at joint2, 28 to 42 N"
         if state == "learning":
             assert page.value("!learn.hidden && learn.innerText.startsWith('about ')")
         if state == "monitoring":

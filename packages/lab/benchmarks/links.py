@@ -4,6 +4,7 @@
       [--meshes panda=ROBOT ...] [--touches 200] [--seed 0]
     python packages/lab/benchmarks/links.py MODELS UNSEEN OUT --panda DATASET BUNDLES [--meshes panda=ROBOT]
     python packages/lab/benchmarks/links.py MODELS UNSEEN OUT --shapes ROBOT ...
+    python packages/lab/benchmarks/links.py MODELS UNSEEN OUT --pressed [--arms ur5 seven_axis] [--meshes ur5=ROBOT ...]
 
 MODELS: folder of the robot files. UNSEEN: what unseen_arms.py wrote; a bundle is trained on each arm's datasets where
 OUT has none. ROBOT: the arm's robot file with its meshes in the folders above: touches on the meshes, too. OUT gets the
@@ -14,6 +15,8 @@ labels and the robot's own estimate; panda/bundles). Links are found by the bund
 error of its own limits; by the robot's own estimate, with that of its samples without a touch.
 
 --shapes: how well the capsules of these robot files' links fit their meshes. OUT gets shapes.json and shapes.md.
+--pressed: forces that MuJoCo exerts on points of the surfaces, and how often what is stated of them is right. UNSEEN is
+not read. OUT gets pressed.json, pressed.md and reliability.png.
 """
 
 from __future__ import annotations
@@ -24,7 +27,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import mujoco
 import numpy as np
+from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 
@@ -33,17 +42,27 @@ from made_live import replay
 from unseen.arms import Maker, arm_of, makers
 from unseen.recordings import logged, nm_per_given
 from unseen.simulation import RATE_HZ, Contact, draw_motion, simulate
-from unseen.surfaces import SURFACES, Cylinder, Triangles, capsules_of, draw_touch, meshes_of, triangles_of
+from unseen.surfaces import (
+    SURFACES,
+    Cylinder,
+    Triangles,
+    capsules_of,
+    draw_touch,
+    meshes_of,
+    triangles_of,
+    within_cone,
+)
 
 from tauext import _core
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.monitor.touch_place import STATED, PlaceChange, PlaceFinder, run_of
+from tauext.monitor.touch_place import INCONSISTENT, STATED, PlaceChange, PlaceFinder, run_of
 from tauext.robot.capsules import Ends, body_capsules, even_directions, link_capsules
+from tauext.robot.frames import wrench_frames
 from tauext.robot.mesh_files import MeshFinder
-from tauext.robot.read import load_tree
+from tauext.robot.read import load_tree, placed_bodies, read_robot
 
-GIVEN, GUESSED, THIN, MESHES = "given", "guessed", "5 cm capsules", "meshes"
+GIVEN, GUESSED, THIN, MESHES, FITTED = "given", "guessed", "5 cm capsules", "meshes", "fitted"
 Shapes = dict[str, list[_core.Capsule]]
 """What a bundle may know of an arm's surface; GUESSED: nothing."""
 
@@ -193,6 +212,225 @@ def row_of(
         "off_n": abs(float(np.linalg.norm(place.force)) - touch.force_n),
         "ratio": float(np.abs(true_nm[at] / said["limit_nm"][at]).max()),
     }
+
+
+# --- Touches on arms in MuJoCo, and what their torques tell of the place.
+
+
+SIGMA_SHARE = 0.007
+"""Standard error of a torque in free motion, as a share of what the drive can give."""
+ALARM_SIGMAS = 5.0
+CONSTANTS, ABSORBED = 0.05, 0.08
+"""Standard error of a torque constant, as a share; largest share of a touch that gear friction takes up."""
+PRESSED_N = (15.0, 150.0)
+"""By people, tables and clamps; even in its logarithm."""
+FRICTION = (0.1, 0.8)
+"""Coefficient, drawn evenly for each touch; the force is drawn evenly from its cone."""
+HAND_M = 0.06
+"""Free way in front of a point that is touched."""
+TOUCHES_AN_ARM = 50
+"""With the same torque constants."""
+
+
+@dataclass(frozen=True)
+class Pressed:
+    link: int
+    q: np.ndarray
+    point_m: np.ndarray
+    """In the base."""
+    force_n: np.ndarray
+    """On the arm, along the base's axes, (3,)."""
+    torque_nm: np.ndarray
+    """(joints,)."""
+
+
+class TouchableArm:
+    """The arm in MuJoCo with a surface: its poses, levers and rays are MuJoCo's."""
+
+    def __init__(self, maker: Maker, surface: Sequence[Cylinder | Triangles]):
+        spec, _ = read_robot(maker.model)
+        for geom in list(spec.geoms):
+            spec.delete(geom)
+        placed = {}
+        for body in placed_bodies(maker.model, load_tree(maker.model, maker.joints))[2]:
+            placed.setdefault(body.link, body)
+        self._maker, self._placed = maker, placed
+        self._parts = [part for part in surface if part.link in placed]
+        for part in self._parts:
+            body = placed[part.link]
+            part.add_to(spec, spec.body(body.name), body.rotation.T, -body.rotation.T @ body.translation)
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        joints = [self._model.joint(name) for name in maker.joints]
+        self._qpos, self._dofs = (
+            [int(adr[0]) for adr in column]
+            for column in zip(*((one.qposadr, one.dofadr) for one in joints), strict=True)
+        )
+
+    def touch(self, rng: np.random.Generator, link: int | None = None) -> Pressed:
+        """A touch that nothing is in front of, in any pose.
+
+        Args:
+            link: the touched one; None: each point of the arm's surface is as likely.
+        """
+        model, data = self._model, self._data
+        parts = [part for part in self._parts if link in (None, part.link)]
+        areas = np.array([part.area_m2 for part in parts])
+        while True:
+            q = rng.uniform(self._maker.low_rad, self._maker.high_rad)
+            data.qpos[self._qpos] = q
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            part = parts[rng.choice(len(parts), p=areas / areas.sum())]
+            on_link, inwards = part.draw(rng)
+            body = self._placed[part.link]
+            number = model.body(body.name).id
+            turn = data.xmat[number].reshape(3, 3) @ body.rotation.T
+            point = data.xpos[number] + turn @ (on_link - body.translation)
+            inwards = turn @ inwards
+            hit = np.full(1, -1, dtype=np.int32)
+            free_m = mujoco.mj_ray(model, data, point - 1e-3 * inwards, -inwards, None, 1, -1, hit, None)
+            if 0 <= free_m < HAND_M:
+                continue
+            half_angle = np.arctan(rng.uniform(*FRICTION))
+            force = np.exp(rng.uniform(*np.log(PRESSED_N))) * within_cone(inwards, half_angle, rng)
+            turned = np.zeros(model.nv)
+            mujoco.mj_applyFT(model, data, force, np.zeros(3), point, number, turned)
+            return Pressed(part.link, q, point, force, turned[self._dofs])
+
+
+def pressed(arm: Arm, options: argparse.Namespace, by_area: bool) -> list[dict]:
+    """One row a touch that raises an alarm and kind of shapes, with what is found from its torques.
+
+    Args:
+        by_area: each point of the arm is as likely; else each link.
+    """
+    rng = np.random.default_rng([options.seed, 67, arm.bundle.joints, by_area])
+    bundle = arm.bundle
+    sigma = np.array(bundle.error_scale.sigma_weights)
+    touchable, models = TouchableArm(arm.maker, arm.surface), {}
+    for shapes, capsules in arm.shapes.items():
+        bundle.capsules = capsules
+        models[shapes] = _core.PlaceModel(bundle)
+        assert not models[shapes].refused, models[shapes].refused
+    rows = []
+    for number in range(options.touches):
+        if number % TOUCHES_AN_ARM == 0:
+            constants = 1 + CONSTANTS * rng.standard_normal(bundle.joints)
+        while True:
+            link = None if by_area else int(rng.integers(bundle.joints))
+            touch = touchable.touch(rng, link)
+            share = constants * (1 - rng.uniform(0, ABSORBED, bundle.joints))
+            wrong = sigma * rng.standard_t(6, bundle.joints) * np.sqrt(4 / 6)
+            tau = share * touch.torque_nm + wrong
+            if (np.abs(tau) > ALARM_SIGMAS * sigma).any():
+                break
+        in_contact = np.sqrt(sigma**2 + (CONSTANTS**2 + ABSORBED**2 / 3) * tau**2)
+        for shapes, model in models.items():
+            found = model.find(touch.q.tolist(), tau.tolist(), sigma.tolist(), in_contact.tolist())
+            known = found.best is not None and found.consistent >= INCONSISTENT
+            row = {"arm": arm.title, "shapes": shapes, "by_area": by_area, "link": touch.link, "seen": known}
+            if known:
+                row |= {
+                    "probability": list(found.probability),
+                    "force_n": float(np.linalg.norm(touch.force_n)),
+                    "median_n": found.force_n,
+                    "interval_n": list(found.force_interval_n),
+                    "off_m": float(np.linalg.norm(np.subtract(found.best.point, touch.point_m))),
+                    "within_m": found.within_m,
+                }
+            rows.append(row)
+    return rows
+
+
+def at_rest(maker: Maker, robot: Path | None) -> Arm:
+    """The arm with constant standard errors. robot: with the meshes of this file."""
+    tree, bundle, scale = load_tree(maker.model, maker.joints), _core.Bundle(), _core.ErrorScaleSettings()
+    settings = _core.WrenchSettings()
+    settings.frames = wrench_frames(maker.model, tree)
+    sigma = (SIGMA_SHARE * np.array(maker.torque_nm)).tolist()
+    scale.features = [_core.MotionFeature.constant]
+    scale.limit_weights = scale.largest = [1.0] * len(sigma)
+    scale.sigma_weights = scale.sigma_near_weights = scale.largest_sigma = sigma
+    bundle.links, bundle.gravity, bundle.error_scale, bundle.wrench_settings = tree.links, tree.gravity, scale, settings
+    shapes: Shapes = {GIVEN: capsules_of(SURFACES[maker.name]), GUESSED: []}
+    if robot is None:
+        return Arm(maker, bundle, maker.name, SURFACES[maker.name], shapes)
+    shapes[FITTED] = mesh_capsules(robot, list(maker.joints))
+    return Arm(maker, bundle, f"{maker.name}, meshes", triangles_of(robot, maker.joints), shapes)
+
+
+def pressed_tables(rows: list[dict]) -> list[str]:
+    """By how touches are drawn, arm and shapes."""
+    lines = head(
+        "drawn by | arm | shapes | touches | explained | runs: links | stated | right | 85 to 95 %: stated | right "
+        "| force in interval | within factor 2 | high by low | place within | distance, cm: stated | true"
+    )
+    for by_area in (True, False):
+        arms = [*dict.fromkeys(row["arm"] for row in rows), "**all**"]
+        for arm in arms:
+            for shapes in dict.fromkeys(row["shapes"] for row in rows):
+                of = [row for row in rows if row["by_area"] == by_area and row["shapes"] == shapes]
+                of = [row for row in of if arm in (row["arm"], "**all**")]
+                if of:
+                    lines.append(table_row("area" if by_area else "link", arm, shapes, *pressed_cells(of)))
+    return lines
+
+
+def pressed_cells(rows: list[dict]) -> list[object]:
+    seen = [row for row in rows if row["seen"]]
+    stated = np.array([statement(row["probability"], row["link"]) for row in seen])
+    unsure = stated[(stated[:, 1] >= 0.85) & (stated[:, 1] <= 0.95)]
+    force, median, (low, high) = (
+        np.array([row[key] for row in seen]).T for key in ("force_n", "median_n", "interval_n")
+    )
+    off, within = (np.array([row[key] for row in seen]) for key in ("off_m", "within_m"))
+    ratio = np.maximum(median / force, force / median)
+    shares = (
+        *stated.mean(axis=0)[1:],
+        *(unsure.mean(axis=0)[1:] if len(unsure) else (np.nan, np.nan)),
+        np.mean((low <= force) & (force <= high)),
+        np.mean(ratio < 2),
+    )
+    cells = [f"{share:.0%}" for share in shares]
+    links = f"{stated[:, 0].mean():.1f}"
+    places = (f"{np.median(high / low):.1f}", f"{np.mean(off <= within):.0%}")
+    return [len(rows), f"{len(seen) / len(rows):.0%}", links, *cells, *places,
+            *(f"{100 * np.median(one):.0f}" for one in (within, off))]  # fmt: skip
+
+
+def statement(probability: list[float], link: int) -> tuple[int, float, bool]:
+    """Length of the stated run of links, its probability, and whether the link is one of them."""
+    first, last, share = run_of([(k, probability[k]) for k in np.argsort(-np.array(probability)).tolist()])
+    return last - first + 1, share, first <= link <= last
+
+
+def reliability(rows: list[dict]) -> Figure:
+    """Share of runs of neighbouring links, of any length, that are right, over their stated probability; by shapes."""
+    figure, axes = plt.subplots(1, 2, figsize=(9, 4.4), sharex=True, sharey=True, layout="constrained")
+    edges = np.array([0, 0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.95, 1.0])
+    for axis, by_area in zip(axes, (True, False), strict=True):
+        axis.plot([0, 1], [0, 1], color="0.7", linewidth=1, label="calibrated")
+        for shapes, mark in ((GIVEN, "o"), (FITTED, "s"), (GUESSED, "^")):
+            of = [row for row in rows if row["seen"] and row["by_area"] == by_area and row["shapes"] == shapes]
+            if not of:
+                continue
+            stated, right = np.concatenate([runs_of(row["probability"], row["link"]) for row in of], axis=1)
+            at = np.digitize(stated, edges[1:-1])
+            kept = [k for k in range(len(edges) - 1) if np.count_nonzero(at == k) >= 30]
+            points = np.array([(stated[at == k].mean(), right[at == k].mean()) for k in kept])
+            axis.plot(*points.T, mark, linestyle="-", markersize=5, label=f"{shapes}: {len(of)} touches")
+        axis.set(title=f"each {'point' if by_area else 'link'} as often", xlabel="stated probability", aspect="equal")
+        axis.legend(loc="upper left", fontsize=8)
+    axes[0].set_ylabel("share that is right")
+    return figure
+
+
+def runs_of(probability: list[float], link: int) -> np.ndarray:
+    """Probability of each run of neighbouring links, and whether the link is in it, (2, runs)."""
+    n = len(probability)
+    runs = [(first, last) for first in range(n) for last in range(first, n) if last - first + 1 < n]
+    return np.array([(sum(probability[a : b + 1]), a <= link <= b) for a, b in runs]).T
 
 
 # --- Touches of people on a Panda that stands, at the sample of each that shows most.
@@ -368,6 +606,7 @@ def main() -> None:
     parser = arguments(__doc__, "models", "unseen", "out", arms=("panda", "kinova", "seven_axis"), seed=0)
     parser.add_argument("--meshes", nargs="+", default=[], help="robot files with meshes, each as ARM=FILE")
     parser.add_argument("--touches", type=int, default=200, help="an arm")
+    parser.add_argument("--pressed", action="store_true", help="touches in MuJoCo alone")
     parser.add_argument("--panda", type=Path, nargs=2, metavar=("DATASET", "BUNDLES"), help="the Panda at rest alone")
     parser.add_argument("--shapes", type=Path, nargs="+", metavar="ROBOT", help="robot files with meshes, alone")
     options = parser.parse_args()
@@ -376,6 +615,14 @@ def main() -> None:
         write_tables(options.out, shape_tables(rows), short(rows), "shapes")
         return
     robots = {name: Path(model) for name, _, model in (one.partition("=") for one in options.meshes)}
+    if options.pressed:
+        known = makers(options.models)
+        of = [at_rest(known[name], None) for name in options.arms]
+        of += [at_rest(known[name], robot) for name, robot in robots.items()]
+        rows = [row for arm in of for by_area in (True, False) for row in pressed(arm, options, by_area)]
+        write_tables(options.out, pressed_tables(rows), short(rows), "pressed")
+        reliability(rows).savefig(options.out / "reliability.png", dpi=110)
+        return
     if options.panda:
         rows = panda_rows(*options.panda, robots.get("panda"))
     else:

@@ -185,7 +185,14 @@ class AlarmChange(Change):
     """Standard error of tau_ext_nm; NaN without an error scale."""
     number: int = 0
     """Number of the alarm."""
+    explained_nm: float = 0.0
+    """Part of tau_ext_nm that an expected load or a declared contact explains: only the rest is compared."""
     event = "alarm"
+
+    @property
+    def torque_nm(self) -> float:
+        """What is compared with the limit."""
+        return self.tau_ext_nm - self.explained_nm
 
     def words(self, joints: tuple[str, ...], units: Sequence[str] = ()) -> list[str]:
         """`COLLISION joint1: |tau_ext| 6.21 Nm (standard error 0.35 Nm), collision limit 4.62 Nm`."""
@@ -195,9 +202,10 @@ class AlarmChange(Change):
             return [f"no {ALARMS[self.was]} any more" if self.alarm == 0 else ALARMS[self.alarm]]
         level, unit = ALARMS[self.alarm], short(units[self.joint])
         region = " near stiction" if self.near_stiction else ""
+        explained = " - explained" if self.explained_nm else ""
         error = f" (standard error {self.sigma_nm:.2f} {unit})" if math.isfinite(self.sigma_nm) else ""
         return [
-            f"{level.upper()} {joints[self.joint]}: |tau_ext| {abs(self.tau_ext_nm):.2f} {unit}{error}, "
+            f"{level.upper()} {joints[self.joint]}: |tau_ext{explained}| {abs(self.torque_nm):.2f} {unit}{error}, "
             f"{level} limit{region} {self.limit_nm:.2f} {unit}"
         ]
 
@@ -210,6 +218,7 @@ class AlarmChange(Change):
             "joint": joint,
             "tau_ext_nm": number(self.tau_ext_nm),
             "sigma_nm": number(self.sigma_nm),
+            "explained_nm": number(self.explained_nm),
             "limit_nm": number(self.limit_nm),
             "near_stiction": self.near_stiction if joint else None,
             "acknowledged": self.acknowledged,
@@ -233,7 +242,7 @@ class AlarmChange(Change):
 
     @property
     def learned(self) -> dict[str, Any]:
-        names = ("number", "alarm", "joint", "tau_ext_nm", "limit_nm") if self.raised else ()
+        names = ("number", "alarm", "joint", "torque_nm", "limit_nm") if self.raised else ()
         return {name: getattr(self, name) for name in names}
 
     @property
@@ -627,4 +636,5 @@ class ChangeFinder:
             bool(estimates["near_stiction"][k, joint]),
             sigma_nm=float(estimates["sigma_nm"][k, joint]),
             number=number_at(estimates, k),
+            explained_nm=float((estimates["tau_ext"] - unexplained(estimates))[k, joint]),
         )

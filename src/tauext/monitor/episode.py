@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from tauext.bundle.estimates import ALARMS, COLLISION, FIRST_KIND, TOUCHES, number, rounded
+from tauext.bundle.estimates import ALARMS, COLLISION, CONTACT, FIRST_KIND, TOUCHES, number, rounded, unexplained
 from tauext.bundle.units import short
 from tauext.monitor.changes import Change, with_article
-from tauext.monitor.touch_place import PlaceChange, newtons, run_of
+from tauext.monitor.touch_place import PlaceChange, force_words, run_of
 
 LASTS_NS = 5_000_000_000
 """A touch that lasts is reported again after this time, [ns]: a process may be killed before its end."""
@@ -39,9 +39,10 @@ class Episode:
     """Stamp at which it rose, [ns]; None: under an earlier process, whose clock may have been another."""
     touch_t_ns: int = 0
     """Last stamp at which a torque was over a limit, [ns]; it grows until the alarm ends."""
-    tau_ext_nm: float = np.nan
-    """Torque of the joint when the alarm rose to its level."""
+    torque_nm: float = np.nan
+    """Torque of the joint, less what a load or a declared contact explains, where it exceeded its limit most."""
     limit_nm: float = np.nan
+    """Limit of that sample, of the alarm's level."""
     touch: int = 0
     """Kind of touch, an index of TOUCHES."""
     place: PlaceChange | None = None
@@ -61,26 +62,20 @@ class Episode:
         """The place, if a single force on a link explains the touch."""
         return self.place if self.place is not None and self.place.explains else None
 
-    @property
-    def torque_nm(self) -> float:
-        """Torque of the alarm's joint, at the moment of the place where one is known."""
-        place = self.placed
-        return place.tau_ext_nm[self.joint] if place is not None and place.tau_ext_nm else self.tau_ext_nm
-
     def sentence(self, joints: tuple[str, ...]) -> str:
-        """`Touched at joint6, about 84 N`; without a place the joint whose torque is too large."""
+        """`Touched at joint6, 70 to 100 N`; without a place the joint whose torque is too large."""
         if (place := self.placed) is None:
             return f"Touched at {joints[self.joint]} or beyond it"
-        return f"Touched at {links_at(place, joints)}, about {float(format(newtons(place.best), '.2g')):g} N"
+        return f"Touched at {links_at(place, joints)}, {force_words(place.interval_n)}"
 
     def words(self, joints: tuple[str, ...], units: Sequence[str]) -> str:
-        """`COLLISION, a push on the link of joint2 (91%): 12.4 Nm at joint2, limit 6.1 Nm`."""
+        """`COLLISION, a push on the link of joint2: 12.4 Nm at joint2, limit 6.1 Nm`."""
         unit = short(units[self.joint]) if units else "Nm"
         kind = f", {with_article(TOUCHES[self.touch])}" if self.touch >= FIRST_KIND else ""
         place = "" if self.placed is None else f" on {self.placed.on(joints)}"
         level = ALARMS[self.alarm].upper() if self.alarm == COLLISION else ALARMS[self.alarm].capitalize()
-        torque = self.torque_nm
-        sizes = [f"{abs(torque):.3g} {unit} at {joints[self.joint]}"] if math.isfinite(torque) else []
+        torque = abs(self.torque_nm)
+        sizes = [f"{torque:.3g} {unit} at {joints[self.joint]}"] if math.isfinite(torque) else []
         sizes += [f"limit {self.limit_nm:.3g} {unit}"] if math.isfinite(self.limit_nm) else []
         return f"{level}{kind}{place}: {', '.join(sizes) or joints[self.joint]}"
 
@@ -89,7 +84,8 @@ class Episode:
         facts: dict[str, Any] = {"id": self.number, "ended": self.ended}
         if self.t_ns is not None:
             held = {"held_ns": self.touch_t_ns, "over": rounded(self.over)}
-            facts |= {"bundle": self.bundle, "t_ns": self.t_ns, **held, "touch": None, "links": [], "newtons": None}
+            facts |= {"bundle": self.bundle, "t_ns": self.t_ns, **held, "touch": None, "links": []}
+            facts |= {"newtons": None, "newtons_interval": None}
         if self.touch >= FIRST_KIND:
             facts["touch"] = TOUCHES[self.touch]
         if math.isfinite(self.limit_nm):  # else it has risen under an earlier process
@@ -101,7 +97,8 @@ class Episode:
             facts |= {
                 "at": links_at(place, joints),
                 "links": [[joints[link], round(share, 3)] for link, share in place.links],
-                "newtons": number(newtons(place.best)),
+                "newtons": number(place.newtons),
+                "newtons_interval": rounded(place.interval_n),
                 "on": place.on(joints),
                 "place": {"link": place.best.link, **best, "q": rounded(self.q)},
             }
@@ -109,9 +106,9 @@ class Episode:
 
 
 def links_at(place: PlaceChange, joints: tuple[str, ...]) -> str:
-    """`joint2 or joint3`: the joints that carry the links of the stated run."""
+    """`joint2, joint3 or joint4`: the joints that carry the links of the stated run."""
     first, last, _ = run_of(place.links)
-    return " or ".join(joints[first : last + 1])
+    return " or ".join([", ".join(joints[first:last])] * (last > first) + [joints[last]])
 
 
 class EpisodeFinder:
@@ -123,6 +120,8 @@ class EpisodeFinder:
         self.standing: Episode | None = None
         """The alarm that stands; None: none does."""
         self._over, self._touch_t_ns, self._last_ns = np.zeros(0), 0, 0
+        self._peak = (np.nan, np.nan)
+        """Torque of the alarm's joint where it exceeded its limit most, and that limit."""
 
     def stand(self, number: int, alarm: int, joint: int) -> None:
         """This alarm stands from before the first sample on."""
@@ -191,9 +190,23 @@ class EpisodeFinder:
             margin, limit = estimates["margin_nm"][rows][held], estimates["limit_nm"][rows][held]
             share = np.fmax.reduce(1 - margin / limit, axis=0)
             self._over = np.fmax(self._over, share) if len(self._over) else share
+            self._follow_peak(estimates, rows.start + np.flatnonzero(held))
         self._touch_t_ns = max(self._touch_t_ns, int(estimates["touch_t_ns"][rows].max()))
         if came:
             self._last_ns = int(t_ns[rows.stop - 1])
+
+    def _follow_peak(self, estimates: Mapping[str, np.ndarray], rows: np.ndarray) -> None:
+        """The largest ratio of the torque to its limit at these rows."""
+        assert self.standing is not None
+        joint = self.standing.joint
+        if joint < 0 or "tau_ext" not in estimates:
+            return
+        limit_nm = estimates["contact_limit_nm" if self.standing.alarm == CONTACT else "limit_nm"][rows, joint]
+        torque_nm = unexplained(estimates)[rows, joint]
+        over = np.nan_to_num(np.abs(torque_nm) / limit_nm, nan=0.0)
+        k = int(over.argmax())
+        if over[k] > 1 and not over[k] <= abs(self._peak[0]) / self._peak[1]:
+            self._peak = float(torque_nm[k]), float(limit_nm[k])
 
     def _judge(
         self, k: int, t_ns: np.ndarray, estimates: Mapping[str, np.ndarray], news: dict[int, Episode], came: bool
@@ -224,6 +237,8 @@ class EpisodeFinder:
         if raised is not None and self.standing is None:
             self._over, self._touch_t_ns, self._last_ns = np.zeros(0), t_ns, t_ns
             self.standing = Episode(number, *raised, self.bundle, t_ns, t_ns)
+        if raised is not None:
+            self._peak = learned["torque_nm"], learned["limit_nm"]
         if "place" in learned:
             learned["q"] = () if q is None else tuple(q.tolist())
         if self.standing is not None and (raised is not None or self.standing.number == number):
@@ -237,7 +252,14 @@ class EpisodeFinder:
         assert self.standing is not None
         if self.standing.t_ns is None:
             return self.standing
-        return replace(self.standing, touch_t_ns=self._touch_t_ns, over=tuple(self._over.tolist()))
+        torque_nm, limit_nm = self._peak
+        return replace(
+            self.standing,
+            touch_t_ns=self._touch_t_ns,
+            over=tuple(self._over.tolist()),
+            torque_nm=torque_nm,
+            limit_nm=limit_nm,
+        )
 
 
 class Acknowledgement:

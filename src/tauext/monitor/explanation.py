@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 
@@ -108,11 +109,9 @@ def over_limit(flight: Flight, source: FlightSource, kind: str) -> str:
     region, edge = ("near stiction", "below") if event.near_stiction[j] else ("sliding", "not below")
     slow_rad_s = source.bundle.near_stiction_rad_s
     unit = source.unit(j)
-    parts = [word for word, nm in (("load", event.load_nm[j]), ("declared", event.declared_nm[j])) if nm]
-    torque = " - ".join(["tau_ext", *parts])
     text = (
-        f"|{torque}| of {source.joints[j]} was {size:.3f} {unit}, {size - limit:.3f} {unit} over its {kind} limit of "
-        f"{limit:.3f} {unit} ({region}: its speed was {speed:+.4f} rad/s, {edge} {slow_rad_s:g})."
+        f"|{compared(event, j)}| of {source.joints[j]} was {size:.3f} {unit}, {size - limit:.3f} {unit} over its "
+        f"{kind} limit of {limit:.3f} {unit} ({region}: its speed was {speed:+.4f} rad/s, {edge} {slow_rad_s:g})."
     )
     text += certainty(flight, source)
     since = row
@@ -122,6 +121,12 @@ def over_limit(flight: Flight, source: FlightSource, kind: str) -> str:
         ms = (flight["t_ns"][row] - flight["t_ns"][since]) * 1e-6
         text += f" It had been over that limit for {ms:.1f} ms."
     return text
+
+
+def compared(event: Any, joint: int) -> str:
+    """What is compared with the joint's limit: `tau_ext - declared`."""
+    parts = (("load", event.load_nm[joint]), ("declared", event.declared_nm[joint]))
+    return " - ".join(["tau_ext", *(word for word, nm in parts if nm)])
 
 
 def certainty(flight: Flight, source: FlightSource) -> str:
@@ -435,11 +440,11 @@ def after(flight: Flight, source: FlightSource, kind: str) -> str:
         gone_s = (flight["t_ns"][row + good[0]] - flight["t_ns"][row]) * 1e-9
         return text + f"the fault was gone after {gone_s:.3f} s; at the end health was {HEALTHS[int(health[-1])]}."
     j = flight["event"].alarm_joint
-    size = np.abs(flight["tau_ext"][row:, j])
+    size = np.abs(unexplained(flight)[row:, j])
     if np.isfinite(size).any():
         peak = int(np.nanargmax(size))
         peak_s = (flight["t_ns"][row + peak] - flight["t_ns"][row]) * 1e-9
-        text += f"|tau_ext| of {source.joints[j]} peaked at {size[peak]:.3f} {source.unit(j)}, "
+        text += f"|{compared(flight['event'], j)}| of {source.joints[j]} peaked at {size[peak]:.3f} {source.unit(j)}, "
         text += f"{peak_s:.3f} s after it; " if peak else "at the event; "
         over = size > limits_of(flight, kind)[row:, j]
         text += f"it was {'' if over[-1] else 'not '}over its {kind} limit at the end; "

@@ -17,7 +17,6 @@ from tauext.monitor.loads import Expected
 from tauext.monitor.monitored_time import Monitored
 from tauext.monitor.phases import Announced
 from tauext.monitor.source import Block, SourceCounts
-from tauext.monitor.touch_place import newtons
 
 # --- Receivers of every sample and event: publishers, outputs, recordings.
 
@@ -76,7 +75,7 @@ class ReactionEvent:
     """Joints that carry the touched link of a collision or contact, with probabilities, most probable first; empty
     while unknown."""
     newtons: float | None = None
-    """Force at the most probable place on the most probable link, [N]; None: unknown."""
+    """Median of the force, [N]; None: unknown."""
     number: int = 0
     """Number of the alarm: the same for all events of one alarm."""
     of_place: bool = False
@@ -326,7 +325,7 @@ class EventFinder:
             facts,
             touch=facts["touch"] if episode else None,
             links=() if place is None else tuple((self._joints[link], share) for link, share in place.links),
-            newtons=None if place is None else newtons(place.best),
+            newtons=None if place is None else place.newtons,
             number=number,
             news=is_news,
             of_place=of_place,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -128,12 +129,16 @@ class PlaceChange(Change):
     """Places, most probable first, at least one."""
     best: TouchPlace
     """The place that messages report: the most probable place on the most probable link."""
+    within_m: float
+    """Distance from it that the touch is within with the probability STATED."""
+    newtons: float
+    """Median of the force."""
+    interval_n: tuple[float, float]
+    """Bounds that the force is within with the probability STATED, [N]."""
     consistent: float
     """Probability that a single force leaves at least this residual."""
     force: FrameForce | None = None
     """The force if it acts at the named frame."""
-    tau_ext_nm: tuple[float, ...] = ()
-    """Torques at the moment of these places, less an expected load, by joint."""
     number: int = 0
     """Number of the alarm."""
 
@@ -152,8 +157,10 @@ class PlaceChange(Change):
         if found is None or found.best is None:
             return None
         links = tuple((link, found.probability[link]) for link in found.ranked)
-        places, consistent = tuple(found.places), found.consistent
-        return cls(row, t_ns, alarm, joint, since_s, links, places, found.best, consistent, force)
+        sizes = (found.within_m, found.force_n, tuple(found.force_interval_n))
+        return cls(
+            row, t_ns, alarm, joint, since_s, links, tuple(found.places), found.best, *sizes, found.consistent, force
+        )
 
     event = "place"
 
@@ -168,19 +175,23 @@ class PlaceChange(Change):
         return self.consistent >= INCONSISTENT
 
     def on(self, joints: tuple[str, ...]) -> str:
-        """`the link of elbow (93%)`."""
+        """`the link of elbow`."""
         return links_words(self.links, joints, self.guessed)
 
     def words(self, joints: tuple[str, ...], units: Sequence[str] = ()) -> list[str]:
-        """`the touch is on the link of elbow (93%): 34 N within 3 cm of (0.31, -0.20, 0.55) m`."""
+        """`the touch is on the link of elbow: 26 to 42 N within 6 cm of (0.31, -0.20, 0.55) m`."""
         at_frame = "" if self.force is None else f"; {self.force.words()}"
         if not self.explains:
             return [f"the touch is no single force on one link: two touches, or a moment without a force{at_frame}"]
-        where = ", ".join(f"{value:.2f}" for value in self.best.point)
-        sure = "" if run_of(self.links)[2] >= STATED else "most likely "
-        spread_cm = max(self.best.spread_m * 100, 1)
-        force = f"{newtons(self.best):.0f} N within {spread_cm:.0f} cm of ({where}) m"
-        return [f"the touch is {sure}on {self.on(joints)}: {force}{at_frame}"]
+        return [f"the touch is on {self.on(joints)}: {force_words(self.interval_n)}{self._around()}{at_frame}"]
+
+    def _around(self) -> str:
+        """` within 6 cm of (0.31, -0.20, 0.55) m`, with the digits that the distance supports; empty if it is vague."""
+        if self.within_m > VAGUE_M:
+            return ""
+        digits, step_cm = (2, 1) if self.within_m < 0.1 else (1, 5)
+        where = ", ".join(f"{value:.{digits}f}" for value in self.best.point)
+        return f" within {step_cm * math.ceil(self.within_m * 100 / step_cm - 1e-9)} cm of ({where}) m"
 
     def facts(self, joints: tuple[str, ...]) -> dict[str, Any]:
         joint = joints[self.joint] if self.joint >= 0 else None
@@ -206,6 +217,9 @@ class PlaceChange(Change):
                 }
                 for place in self.places
             ],
+            "within_m": self.within_m,
+            "newtons": self.newtons,
+            "newtons_interval": list(self.interval_n),
             "consistent": self.consistent,
             "shapes_guessed": self.guessed,
         }
@@ -337,51 +351,55 @@ class PlaceFinder:
         q, tau_ext, sigma_nm, contact_sigma_nm, dq = self._sample
         found = self._model.find(q, tau_ext, sigma_nm, contact_sigma_nm, dq=dq)
         since_s = (t_ns - self._rose_ns) * 1e-9
-        change = PlaceChange.of(found, row, t_ns, level, self._joint, since_s, self._force)
-        return None if change is None else replace(change, tau_ext_nm=tuple(tau_ext))
+        return PlaceChange.of(found, row, t_ns, level, self._joint, since_s, self._force)
 
 
 STATED = 0.9
-"""Probability from which a link, or a run of links, is stated."""
+"""Probability of the reported run of links, interval of the force, and distance from the place."""
+VAGUE_M = 0.5
+"""Distance from which on a place is not reported."""
 
 
-def newtons(place: TouchPlace) -> float:
-    """Size of the force."""
-    return float(np.linalg.norm(place.force))
+def force_words(interval_n: tuple[float, float]) -> str:
+    """`26 to 42 N`, `40 to 260 N`: rounded to a fifth of the interval at most."""
+    low, high = interval_n
+    step = next((one for one in (50, 20, 10, 5, 2) if one <= (high - low) / 5), 1)
+    return f"{step * round(low / step)} to {step * round(high / step)} N"
 
 
-def run_of(links: Sequence[tuple[int, float]], longest: int = 3) -> tuple[int, int, float]:
+def run_of(links: Sequence[tuple[int, float]]) -> tuple[int, int, float]:
     """Number of the first and last link of the shortest run of neighbours whose probability is STATED, and its
     probability.
 
     Args:
-        links: number of the joint that carries the link, and its probability; the most probable first, which the run
-            contains. It is the run if no other of at most `longest` links is probable enough.
+        links: number of the joint that carries the link, and its probability, of all links; the most probable first,
+            which the run contains.
     """
     probability = dict(links)
-    best = links[0][0]
+    best, last = links[0][0], max(probability)
     runs = [
-        (count, -sum(probability.get(link, 0.0) for link in range(first, first + count)), first)
-        for count in range(1, longest + 1)
-        for first in range(best - count + 1, best + 1)
-        if first in probability and first + count - 1 in probability
+        (end - first, -sum(probability.get(link, 0.0) for link in range(first, end)), first)
+        for first in range(best + 1)
+        for end in range(best + 1, last + 2)
     ]
-    count, less, first = min((run for run in runs if -run[1] >= STATED), default=(1, -links[0][1], best))
+    count, less, first = min(run for run in runs if -run[1] >= STATED or run[0] == last + 1)
     return first, first + count - 1, -less
 
 
 def links_words(links: Sequence[tuple[int, float]], joints: tuple[str, ...], guessed: bool = False) -> str:
-    """Describe links: `the link of elbow (93%)`, `the links of wrist_1 to wrist_3 (94%; wrist_2 51%)`.
+    """Describe links: `the link of elbow`, `a link from lift to wrist_1 (most likely elbow)`.
 
     Args:
         links: as run_of() takes them.
         guessed: the shape of a link that may be touched is guessed.
     """
-    first, last, probability = run_of(links)
+    first, last, _ = run_of(links)
     if first == last:
-        name = f"link of {joints[first]}"
-        others = [f"{joints[link]} {share:.0%}" for link, share in links[1:3] if share >= 0.05]
+        name = f"the link of {joints[first]}"
+    elif last == first + 1:
+        name = f"the link of {joints[first]} or {joints[last]}"
     else:
-        name = f"links of {joints[first]} {'to' if last > first + 1 else 'and'} {joints[last]}"
-        others = [f"{joints[links[0][0]]} {links[0][1]:.0%}"]
-    return f"the {name} ({'; '.join([f'{probability:.0%}', *others, *['shapes guessed'] * guessed])})"
+        name = f"a link from {joints[first]} to {joints[last]}"
+    best, probability = links[0]
+    rest = [f"most likely {joints[best]}"] * (first != last and probability >= 0.5) + ["shapes guessed"] * guessed
+    return f"{name} ({'; '.join(rest)})" if rest else name

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
+import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -46,6 +47,11 @@ class Cylinder:
             return np.array(self.end_m) + np.sqrt(rng.uniform()) * self.radius_m * out, -axis
         return start + rng.uniform() * way + self.radius_m * out, -out
 
+    def add_to(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, turn: np.ndarray, shift: np.ndarray) -> None:
+        """Add it to a body of MuJoCo, whose frame is reached by turn @ point + shift."""
+        ends = np.array([self.start_m, self.end_m]) @ turn.T + shift
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_CYLINDER, fromto=ends.ravel(), size=[self.radius_m, 0, 0])
+
 
 class Triangles:
     """The mesh of a link, in the link's frame."""
@@ -65,6 +71,18 @@ class Triangles:
         at = int(np.searchsorted(self._areas, rng.uniform() * self._areas[-1]))
         u, v = np.sort(rng.uniform(size=2))
         return np.array([u, v - u, 1 - v]) @ self._corners[at], self._inwards[at]
+
+    def add_to(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, turn: np.ndarray, shift: np.ndarray) -> None:
+        """As of a cylinder."""
+        corners = self._corners.reshape(-1, 3) @ turn.T + shift
+        name = f"mesh {len(spec.meshes)}"
+        spec.add_mesh(
+            name=name,
+            uservert=corners.ravel(),
+            userface=np.arange(len(corners)),
+            inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+        )
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name)
 
 
 def meshes_of(model: Path, finder: MeshFinder) -> dict[str, np.ndarray]:
@@ -177,7 +195,13 @@ def draw_touch(
     parts = [part for part in surface if part.link == link]
     areas = np.array([part.area_m2 for part in parts])
     point, inwards = parts[rng.choice(len(parts), p=areas / areas.sum())].draw(rng)
-    cosine = rng.uniform(np.cos(widest_rad), 1)
-    sideways = np.cross(inwards, rng.standard_normal(3))
+    direction = within_cone(inwards, widest_rad, rng)
+    return point, direction, float(np.arccos(direction @ inwards))
+
+
+def within_cone(axis: np.ndarray, half_angle_rad: float, rng: np.random.Generator) -> np.ndarray:
+    """A direction, even over the cone."""
+    cosine = rng.uniform(np.cos(half_angle_rad), 1)
+    sideways = np.cross(axis, rng.standard_normal(3))
     sideways /= np.linalg.norm(sideways)
-    return point, cosine * inwards + np.sqrt(1 - cosine**2) * sideways, float(np.arccos(cosine))
+    return cosine * axis + np.sqrt(1 - cosine**2) * sideways

@@ -10,7 +10,7 @@ import numpy as np
 from tauext import _core
 from tauext.bundle.estimates import COLLISION, Estimates
 from tauext.data.recording import Recording
-from tauext.monitor.touch_place import FOLLOWED_S, newtons, strongest_place
+from tauext.monitor.touch_place import FOLLOWED_S, strongest_place
 from tauext_lab.evaluate.results import (
     CollisionVerdict,
     FoundBin,
@@ -434,7 +434,7 @@ def placed(
     return replace(
         estimate,
         links=tuple(LinkProbability(recording.joints[link], found.probability[link]) for link in found.ranked[:3]),
-        force_n=newtons(found.best),
+        force_n=found.force_n,
         point_m=tuple(found.best.point),
         spread_m=found.best.spread_m,
         consistent=found.consistent,

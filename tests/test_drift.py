@@ -131,6 +131,22 @@ def test_limits_contain_a_share_of_friction_until_the_joint_has_shown_it(alarmin
     assert (np.nanmax(limits[-10_000:], axis=0) < 1.05).all()
 
 
+def test_the_standard_error_contains_what_is_unknown_of_the_friction(alarming):
+    """15 % of the friction before the first stroke has ended; then the joint has shown its trained friction."""
+    made = with_dynamics(recording(9, seconds=30.0))
+    known = _core.Bundle.from_bytes(alarming.to_bytes())
+    known.drift.friction_share = 0.0
+    unknown, alone = (_core.estimate(bundle, *made.signals, 1) for bundle in (alarming, known))
+    sliding = (unknown["near_stiction"] == 0) & (unknown["health"] == 1)[:, None]
+    np.testing.assert_array_equal(alone["sigma_nm"][sliding], 0.1)
+    added = np.sqrt(np.where(sliding, unknown["sigma_nm"] ** 2 - 0.1**2, np.nan))
+    friction = np.array([alarming.prior.friction_at_rest_nm(j) for j in range(2)])
+    # The viscous part is as large as Coulomb's at the fastest.
+    assert (np.nanmax(added[:1000], axis=0) > 0.15 * friction).all()
+    assert (np.nanmax(added, axis=0) < 0.15 * 2.5 * friction).all()
+    assert (np.nanmedian(added[-10_000:], axis=0) < 0.05 * friction).all()
+
+
 def test_estimates_hold_drift_where_there_is_a_tracker(fitted, tmp_path):
     bundle, fit = fitted
     made = with_dynamics(recording(9), friction=0.8)

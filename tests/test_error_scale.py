@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from tauext.train.error_scale import (
     ErrorScaleConfig,
     HeldOut,
     add_friction,
+    add_unseen,
     collect_rows,
     fit_weights,
     freeze_floor_nm,
@@ -115,6 +117,7 @@ def test_limits_follow_the_motion_and_sigma_covers_left_out_errors(tmp_path, mon
 
     settings = {"recipe": "prior", "observer": ObserverConfig(gain_per_s=50.0)}
     bundle, facts = trained(tmp_path, monkeypatch, [noisy(1), noisy(2), noisy(3)], **settings)
+    bundle.drift.friction_share = 0.0  # what is unknown of the friction comes on top
     new = noisy(4)
     said = _core.estimate(bundle, *new.signals, 1)
     healthy = said["health"] == 1
@@ -123,6 +126,7 @@ def test_limits_follow_the_motion_and_sigma_covers_left_out_errors(tmp_path, mon
         ratio = np.abs(said["tau_ext"][healthy, j]) / said["sigma_nm"][healthy, j]
         assert 0.6 < (ratio < 1).mean() < 0.76 and 0.9 < (ratio < 2).mean() < 0.98
         fast, slow = (np.abs(new.dq[healthy, j]) > 1.0), (np.abs(new.dq[healthy, j]) < 0.2)
+        slow &= said["near_stiction"][healthy, j] == 0  # where a share of the friction is open: this arm never rested
         for column in ("sigma_nm", "limit_nm"):
             assert said[column][healthy, j][fast].mean() > 1.5 * said[column][healthy, j][slow].mean()
 
@@ -152,6 +156,7 @@ def test_constants_are_there_for_the_asking_and_for_other_recipes(tmp_path, monk
 
 def test_a_reserve_of_friction_is_added_at_every_speed(tmp_path, monkeypatch):
     bundle, _ = trained(tmp_path, monkeypatch, [motion(seconds=60.0)], recipe="prior", observer=ObserverConfig(20.0))
+    bundle.drift.friction_share = 0.0
     more = _core.Bundle.from_bytes(bundle.to_bytes())
     at_rest, per_speed = np.array([2.0, 1.0]), np.array([0.5, 3.0])
     add_friction(more, 0.1, at_rest, per_speed)
@@ -164,8 +169,9 @@ def test_a_reserve_of_friction_is_added_at_every_speed(tmp_path, monkeypatch):
     # The chain itself multiplies by the same, and adds what doubt and unfamiliar motion do.
     certain = (before["doubt"] < 1e-20) & np.isfinite(before["sigma_nm"])
     assert certain.sum() > 1000
-    np.testing.assert_allclose(said["sigma_nm"][certain], before["sigma_nm"][certain], rtol=1e-15)
-    widened = said["scale"] * (1 + 0.5 * before["unfamiliar"][:, None])
+    widens = 1 + 0.5 * before["unfamiliar"][:, None]
+    np.testing.assert_allclose((widens * said["sigma_nm"])[certain], before["sigma_nm"][certain], rtol=1e-15)
+    widened = widens * said["scale"]
     np.testing.assert_allclose(widened[certain], before["limit_scale"][certain], rtol=1e-15)
     sliding = (before["near_stiction"] == 0) & (before["doubt"] < 1e-15) & np.isfinite(before["limit_nm"])
     sliding &= (said["scale"] < np.array(scale.largest)) & (before["unfamiliar"] == 0)[:, None]
@@ -293,6 +299,33 @@ def test_a_region_without_rows_has_the_error_of_both():
     bundle = bundle_of()
     put_constant_error(bundle, rows_of(np.full((1000, 2), 0.4), np.zeros((1000, 2), dtype=bool)))
     assert bundle.error_scale.sigma_near_weights == pytest.approx([0.4, 0.4])
+
+
+@pytest.mark.parametrize("rests", [0, 3, 1000])
+def test_few_rests_leave_a_share_of_the_friction_open_and_many_show_the_error(tmp_path, monkeypatch, rests):
+    """The equation of add_unseen by hand: a prior of ten rests with 0.3 times the friction, and rests of three rows."""
+    bundle, _ = trained(tmp_path, monkeypatch, [motion()], recipe="prior")
+    slept = np.tile([True, True, True, False], max(rests, 1)) & (rests > 0)
+    rows = rows_of(np.where(slept, 0.1, 0.02)[:, None] * np.ones(2), slept[:, None] & np.ones(2, dtype=bool))
+    features = np.zeros((len(slept), 2, len(FEATURES)))
+    constant, speed, standstill = (
+        FEATURES.index(getattr(_core.MotionFeature, name)) for name in ("constant", "speed", "standstill")
+    )
+    features[:, :, constant], features[~slept, :, speed], features[slept, :, standstill] = 1, 1, 1
+    scale = bundle.error_scale
+    scale.sigma_weights = scale.sigma_near_weights = [0.0] * (2 * len(FEATURES))
+    bundle.error_scale = scale
+    rows = replace(rows, features=features)
+    add_unseen(bundle, rows)
+    near = np.array(bundle.error_scale.sigma_near_weights).reshape(2, -1)
+    for j in range(2):
+        friction = bundle.prior.friction_at_rest_nm(j)
+        assert friction > 0.5
+        expected = np.sqrt((10 * (0.3 * friction) ** 2 + rests * 0.1**2) / (10 + rests))
+        assert near[j, constant] + near[j, standstill] == pytest.approx(expected)
+        rms = np.sqrt(np.mean(rows.error_nm[:, j] ** 2))
+        assert near[j, constant] == bundle.error_scale.sigma_weights[j * len(FEATURES)] == pytest.approx(0.2 * rms)
+    assert (np.array(bundle.error_scale.largest_sigma) >= near[:, constant] + near[:, standstill]).all()
 
 
 @pytest.mark.parametrize("recipe", ["bandpass", "highpass"])

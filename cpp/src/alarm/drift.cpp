@@ -243,6 +243,15 @@ void FrictionFactors::raise(std::span<const double> dq, std::span<double> limit_
   }
 }
 
+void FrictionFactors::spread(std::span<double> sigma_nm) const noexcept {
+  if (!on()) return;
+  for (std::size_t j = 0; j < sigma_nm.size(); ++j) {
+    const Joint& joint = state_.joints[j];
+    const double unknown = joint.known.error * (std::fabs(joint.filtered[0]) + std::fabs(joint.filtered[1]));
+    sigma_nm[j] = std::sqrt(sigma_nm[j] * sigma_nm[j] + unknown * unknown);
+  }
+}
+
 void FrictionFactors::cancel(int j, const Stroke& ended, DriftTracker& slow) noexcept {
   Joint& joint = state_.joints[static_cast<std::size_t>(j)];
   const double share = std::min(ended.seconds / kCancel_s, 1.0);

@@ -200,6 +200,8 @@ class FrictionFactors {
 
   // Raises each joint's limits by how much its friction may be off at the last sample beside the usual, [N m].
   void raise(std::span<const double> dq, std::span<double> limit_nm) const noexcept;
+  // Adds to the standard error what is unknown of the friction.
+  void spread(std::span<double> sigma_nm) const noexcept;
 
   // One bit per joint: friction is off by more than may be learned. Retraining is due.
   std::uint32_t saturated() const noexcept { return state_.saturated; }

@@ -183,7 +183,10 @@ void JudgeStage::scale_limits(const Observed& o, const Sample& sample) noexcept 
   scale_.step(o.t_ns, sample.dq, o.near_stiction, first_joints(e.limit_scale), first_joints(e.sigma_nm));
   if (!coverage_.on()) return;
   report_unfamiliar(coverage_.step(o.t_ns, sample.q, sample.dq));
-  for (int j = 0; j < e.joints; ++j) e.limit_scale[j] *= 1 + kUnfamiliarWidens * e.unfamiliar;
+  for (int j = 0; j < e.joints; ++j) {
+    e.limit_scale[j] *= 1 + kUnfamiliarWidens * e.unfamiliar;
+    e.sigma_nm[j] *= 1 + kUnfamiliarWidens * e.unfamiliar;
+  }
 }
 
 void JudgeStage::report_unfamiliar(const Unfamiliar& unfamiliar) noexcept {
@@ -197,6 +200,7 @@ void JudgeStage::report_unfamiliar(const Unfamiliar& unfamiliar) noexcept {
 void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const float> network, ExpectedLoad* expected,
                        DeclaredContacts* contacts) noexcept {
   Estimate& e = estimate_;
+  JointVector of_motion;  // standard error by the motion alone
   forget_explained();
   scale_limits(o, sample);
   if (o.judged) {
@@ -207,8 +211,11 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
       e.tau_ext[j] = e.residual[j] - e.uncertainty[j];
       e.sigma_nm[j] = with_doubt(e.sigma_nm[j], e.doubt[j]);
     }
+    std::copy_n(e.sigma_nm.begin(), e.joints, of_motion.begin());
+    factors_.spread(first_joints(e.sigma_nm));
   } else {
     blank(o.overflowed);
+    std::copy_n(e.sigma_nm.begin(), e.joints, of_motion.begin());
   }
   JointVector raised;  // only the first `joints` entries are set
   for (int j = 0; j < e.joints; ++j)
@@ -236,7 +243,7 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
   // With a load, joints in unknown units learn nothing either, like joints near stiction.
   const std::uint32_t silent = e.near_stiction | (e.load.mass > 0 ? other_units_ : 0);
   if (drift_.on()) drift_.learn(first_joints(e.tau_ext), first_joints(e.limit_scale), first_joints(e.doubt), silent, teaches);
-  if (factors_.on()) factors_.learn(sample.dq, first_joints(e.tau_ext), first_joints(e.sigma_nm), first_joints(e.doubt), silent, teaches, drift_);
+  if (factors_.on()) factors_.learn(sample.dq, first_joints(e.tau_ext), first_joints(of_motion), first_joints(e.doubt), silent, teaches, drift_);
   e.drift_saturated = drift_.saturated() | factors_.saturated();
   for (int j = 0; o.judged && j < e.joints; ++j)
     e.margin_nm[j] = e.limit_nm[j] - std::fabs(e.tau_ext[j] - e.declared_nm[j] - e.load_nm[j]);

@@ -158,6 +158,12 @@ class ErrorScaleConfig:
     """Largest number of rows: over an hour and a half at the network's rate."""
     least_rows: int = 300
     """A region with fewer rows uses the standard error of both."""
+    rest_share: float = 0.3
+    """Standard error of a joint at rest before any rest was seen, as a share of its friction ..."""
+    rest_worth: float = 10.0
+    """... which counts as so many rests."""
+    least_sigma: float = 0.2
+    """Least constant of the standard error, as a share of the root mean square error."""
 
 
 @dataclass(frozen=True)
@@ -210,6 +216,7 @@ def fit_error_scale(
         rows: the bundle's errors (collect_rows).
     """
     bundle.error_scale = scale_of(rows)
+    add_unseen(bundle, rows)
     blind_sigma(bundle)
     if bundle.drift.time_constant_s > 0:
         seen = freeze_floor_nm(rows.error_nm, drift, rows.period_s)
@@ -254,6 +261,47 @@ def scale_of(rows: ErrorRows) -> _core.ErrorScaleSettings:
     sigma = np.where(rows.near_stiction, rows.scale(near), rows.scale(sliding))
     scale.largest_sigma = sigma.max(axis=0).tolist()
     return scale
+
+
+def add_unseen(bundle: _core.Bundle, rows: ErrorRows) -> None:
+    r"""Add to the standard error what few rests do not show, and a floor that no motion undercuts.
+
+    A joint at rest hides a part of its friction f, and all samples of a rest have the same error. With the mean squares
+    e_i^2 of k rests and the configuration's worth and share, the standard error at rest is at least
+
+    .. math:: s = \sqrt{(\text{worth} (\text{share} f)^2 + \sum_i e_i^2) / (\text{worth} + k)}
+
+    Friction of other days is not added here: the monitor knows how uncertain it is (FrictionFactors::spread).
+    """
+    config, scale = rows.config, bundle.error_scale
+    sliding, near = (
+        np.array(weights).reshape(bundle.joints, -1) for weights in (scale.sigma_weights, scale.sigma_near_weights)
+    )
+    constant, standstill = (
+        FEATURES.index(kind) for kind in (_core.MotionFeature.constant, _core.MotionFeature.standstill)
+    )
+    floor = config.least_sigma * np.sqrt(np.mean(rows.error_nm**2, axis=0))
+    for weights in (sliding, near):
+        weights[:, constant] = np.maximum(weights[:, constant], floor)
+    for j, squares in enumerate(rest_squares(rows, k) for k in range(bundle.joints)):
+        expected = config.rest_worth * (config.rest_share * bundle.prior.friction_at_rest_nm(j)) ** 2
+        at_rest = np.sqrt((expected + squares.sum()) / (config.rest_worth + len(squares)))
+        near[j, standstill] = max(near[j, standstill], at_rest - near[j, constant])
+    scale.sigma_weights, scale.sigma_near_weights = sliding.ravel().tolist(), near.ravel().tolist()
+    sigma = np.where(rows.near_stiction, rows.scale(near), rows.scale(sliding))
+    scale.largest_sigma = np.maximum(sigma.max(axis=0), near[:, constant] + near[:, standstill]).tolist()
+    bundle.error_scale = scale
+
+
+def rest_squares(rows: ErrorRows, joint: int) -> np.ndarray:
+    """Mean square error of each rest of a joint, (rests,)."""
+    speed = FEATURES.index(_core.MotionFeature.speed)
+    rests = rows.near_stiction[:, joint] & (rows.features[:, joint, speed] < rows.config.rests_rad_s)
+    at = np.flatnonzero(rests)
+    if not len(at):
+        return np.zeros(0)
+    begins = np.flatnonzero(np.r_[True, (np.diff(at) > 1) | (np.diff(rows.recording[at]) != 0)])
+    return np.add.reduceat(rows.error_nm[at, joint] ** 2, begins) / np.diff(np.r_[begins, len(at)])
 
 
 def region_weights(rows: ErrorRows, features: np.ndarray) -> np.ndarray:

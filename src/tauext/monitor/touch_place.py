@@ -157,9 +157,21 @@ class PlaceChange(Change):
         if found is None or found.best is None:
             return None
         links = tuple((link, found.probability[link]) for link in found.ranked)
-        sizes = (found.within_m, found.force_n, tuple(found.force_interval_n))
+        low_n, high_n = found.force_interval_n
         return cls(
-            row, t_ns, alarm, joint, since_s, links, tuple(found.places), found.best, *sizes, found.consistent, force
+            row,
+            t_ns,
+            alarm,
+            joint,
+            since_s,
+            links,
+            tuple(found.places),
+            found.best,
+            found.within_m,
+            found.force_n,
+            (low_n, high_n),
+            found.consistent,
+            force,
         )
 
     event = "place"

@@ -178,7 +178,7 @@ def describe_shapes(bundle: Bundle, names: list[str], notes: Sequence[str], beyo
     """Which links have capsules, which are guessed and why, and which have capsules that no link of this arm has.
 
     Args:
-        notes: of the training, on shapes that could not be read.
+        notes: notes of the training on shapes that could not be read.
         beyond_m: no shape reaches farther from its joint than all joints' distances and this together, [m].
     """
     links = sorted({one.link for one in bundle.capsules})

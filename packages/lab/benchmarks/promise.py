@@ -75,7 +75,8 @@ def main() -> None:
     options = parser.parse_args()
     splits = [(minutes, options.seed + k) for minutes in options.minutes for k in range(options.splits)]
     if options.way == "work":
-        in_parallel(options.workers, made, [(name, options.models, options.out) for name in options.arms])
+        jobs = [(name, options.models, options.out, pool_of(max(options.minutes))) for name in options.arms]
+        in_parallel(options.workers, made, jobs)
         jobs = [(options.out, name, *split) for split in splits for name in options.arms]
         rows = in_parallel(options.workers, row_of_work, jobs)
     else:
@@ -156,9 +157,17 @@ def hit_ratios(bundle: _core.Bundle, recording: Recording) -> list[float]:
 SETS = {"pool": (8, 0, 0), "later": (4, 48, 0), "test": (4, 5000, 0), "hits": (2, 5100, 50)}
 """Stretches of ten minutes, number of the first, touches in each."""
 LEARNS = ("pool", "later")
+SHIFT = 48
+"""Stretches of the pool from which hours of motion are drawn."""
 
 
-def made(name: str, models: Path, out: Path) -> None:
+def pool_of(minutes: float) -> int:
+    """Stretches from which so much motion is drawn."""
+    count = SETS["pool"][0]
+    return count if minutes <= 10 * count else SHIFT
+
+
+def made(name: str, models: Path, out: Path, pool: int) -> None:
     """Recordings of an arm, as far as they do not exist."""
     arm = working(name, 0) if name in NAMES else current_arm(makers(models)[name], 0, (0.0, 0.0), True)
     folder = out / name
@@ -168,7 +177,7 @@ def made(name: str, models: Path, out: Path) -> None:
         robot = folder / "in.xml"
         robot.write_text(arm.robot_text)
     write_arm(arm.facts, robot, folder)
-    for label, (count, first, touches) in SETS.items():
+    for label, (count, first, touches) in (SETS | {"pool": (pool, 0, 0)}).items():
         for k in range(first, first + count):
             path = folder / f"{label}-{k:04d}.parquet"
             if path.exists():
@@ -184,7 +193,7 @@ def row_of_work(out: Path, name: str, minutes: float, split: int) -> dict:
     folder, row = out / name, {"arm": name, "minutes": minutes, "split": split}
 
     def of(label: str) -> list[Path]:
-        first, count = SETS[label][1], SETS[label][0]
+        first, count = SETS[label][1], pool_of(minutes) if label == "pool" else SETS[label][0]
         return [folder / f"{label}-{k:04d}.parquet" for k in range(first, first + count)]
 
     def make() -> dict:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -458,6 +459,11 @@ def test_what_makes_the_error_of_the_constants_is_stated_with_its_remedy(
     assert all(settings)
     assert "the factor common to all joints 9.7 %" in sentences[0] and "every joint turns" in sentences[0]
     assert "only training with --torque-constants corrects it" in sentences[1]
+
+
+def test_a_mass_of_0_has_no_share_of_the_constants(arm, loaded_motion):
+    nothing = SimpleNamespace(mass_kg=0.0, mass_error_kg=0.0, constants_error_kg=0.0)
+    assert constants_sentence(bundle_of(arm, loaded_motion), nothing, {"joint1": 0.0}) is None
 
 
 def full_bundle(arm: _core.Tree, recording: Recording) -> _core.Bundle:

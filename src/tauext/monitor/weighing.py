@@ -334,13 +334,14 @@ COMMON = "the factor common to all joints"
 
 
 def constants_sentence(bundle: _core.Bundle, found: LoadFound, errors: dict[str, float]) -> str | None:
-    """Which torque constants make the error of the mass, and what lowers it; None: the motion makes most of it.
+    """Which torque constants make the error of the mass, and what lowers it; None: the motion makes most of it, or the
+    mass is 0.
 
     Args:
         errors: of constants_errors().
     """
     mass = abs(found.mass_kg)
-    if found.constants_error_kg < max(found.mass_error_kg / 2, 0.002 * mass):
+    if not (mass > 0 and found.constants_error_kg >= max(found.mass_error_kg / 2, 0.002 * mass)):
         return None
     largest = sorted(errors, key=lambda name: -errors[name])[:3]
     shares = ", ".join(f"{name} {100 * errors[name] / mass:.2g} %" for name in largest if errors[name] > 0)

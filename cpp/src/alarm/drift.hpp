@@ -200,7 +200,7 @@ class FrictionFactors {
 
   // Raises each joint's limits by how much its friction may be off at the last sample beside the usual, [N m].
   void raise(std::span<const double> dq, std::span<double> limit_nm) const noexcept;
-  // Adds to the standard error what is unknown of the friction.
+  // Adds to each joint's standard error, in squares, what is unknown of its friction at the last sample. NaN stays NaN.
   void spread(std::span<double> sigma_nm) const noexcept;
 
   // One bit per joint: friction is off by more than may be learned. Retraining is due.

@@ -200,7 +200,7 @@ void JudgeStage::report_unfamiliar(const Unfamiliar& unfamiliar) noexcept {
 void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const float> network, ExpectedLoad* expected,
                        DeclaredContacts* contacts) noexcept {
   Estimate& e = estimate_;
-  JointVector of_motion;  // standard error by the motion alone
+  JointVector of_motion;  // standard error by the motion alone; NaN without an estimate
   forget_explained();
   scale_limits(o, sample);
   if (o.judged) {
@@ -211,12 +211,11 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
       e.tau_ext[j] = e.residual[j] - e.uncertainty[j];
       e.sigma_nm[j] = with_doubt(e.sigma_nm[j], e.doubt[j]);
     }
-    std::copy_n(e.sigma_nm.begin(), e.joints, of_motion.begin());
-    factors_.spread(first_joints(e.sigma_nm));
   } else {
     blank(o.overflowed);
-    std::copy_n(e.sigma_nm.begin(), e.joints, of_motion.begin());
   }
+  std::copy_n(e.sigma_nm.begin(), e.joints, of_motion.begin());
+  factors_.spread(first_joints(e.sigma_nm));
   JointVector raised;  // only the first `joints` entries are set
   for (int j = 0; j < e.joints; ++j)
     raised[j] = e.doubt[j] + widened_at_rest_nm_[j] + widened_per_speed_[j] * std::fabs(sample.dq[static_cast<std::size_t>(j)]);

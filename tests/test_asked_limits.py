@@ -13,9 +13,9 @@ from tauext.config import AlarmConfig, ObserverConfig, PriorConfig
 from tauext.errors import TrainingError
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.fit.prior import Inertia, fit_terms
-from tauext.train.asked_limits import AskedConfig, WorstErrors, budgets_sentence, posterior, put_asked
+from tauext.train.asked_limits import AskedConfig, WorstErrors, budgets_sentence, posterior, put_asked, put_floors
 from tauext.train.declared_spread import noticed_standing
-from tauext.train.error_scale import HeldOut, collect_rows, fit_error_scale, with_unit_scale
+from tauext.train.error_scale import HeldOut, collect_rows, fit_error_scale, put_constant_error, with_unit_scale
 from tauext.train.held_peaks import Peaks
 from tauext.train.hits import noticed_pushes_n
 from tauext.train.other_programs import OtherProgramsConfig, programs, spread_rows, widen_for_other_programs
@@ -135,6 +135,35 @@ def test_calibration_that_proves_the_budget_sets_the_limits_alone():
     put_promised(proved, LimitMotion("made", alarm, 1, calibration=loaders))
     assert bundle.sliding_limit_nm == proved.sliding_limit_nm
     assert "extrapolated" not in facts and "supported by" in notes[0] and len(facts["budgets"]) == 3
+
+
+def test_limits_have_floors_at_rest_and_in_slow_motion_and_others_stay():
+    _, _, recordings, before, _ = fitted(20.0)
+    friction_nm = np.array([before.prior.friction_at_rest_nm(j) for j in range(2)])
+    before.sliding_limit_nm = before.near_stiction_limit_nm = (friction_nm * [0.05, 3.0]).tolist()
+    after = _core.Bundle.from_bytes(before.to_bytes())
+    config = AskedConfig(rest_share=0.75, rest_hours=2.0, slow_share=0.4, slow_hours=0.75)
+    floors_nm = put_floors(after, 6.0, config)
+    assert floors_nm == pytest.approx(np.array([0.4 / 3 * np.array(after.sliding_limit_nm), 0.75 / 2 * friction_nm]))
+    limit_nm = {}
+    for dq_rad_s in (0.0, 1e-9, 1.0):  # at rest, slower than it starts, and at 1 rad/s all the time
+        t_ns = recordings[0].t_ns
+        q, dq = (np.full((len(t_ns), 2), value) for value in (0.3, dq_rad_s))
+        for one in (before, after):
+            scale = _core.estimate(one, t_ns, q, dq, 0 * q, 1)["limit_scale"][-1]
+            limit_nm[dq_rad_s, one is after] = scale * one.near_stiction_limit_nm
+    assert (limit_nm[0.0, True] >= floors_nm[1] * (1 - 1e-12)).all()
+    assert limit_nm[0.0, True][0] == pytest.approx(floors_nm[1, 0], rel=0.1)  # a twentieth of the friction before
+    assert limit_nm[0.0, True][1] == pytest.approx(limit_nm[0.0, False][1], rel=1e-9)
+    assert (limit_nm[1.0, True] >= limit_nm[1.0, False]).all()
+    assert limit_nm[1.0, True] == pytest.approx(limit_nm[1.0, False], rel=0.2)
+
+
+def test_constant_limits_get_no_floors():
+    _, _, _, bundle, rows = fitted(8.0)
+    put_constant_error(bundle, rows)
+    before = bundle.to_bytes()
+    assert put_floors(bundle, 0.1, AskedConfig()) is None and bundle.to_bytes() == before
 
 
 def test_the_median_push_is_that_of_a_lever_over_all_directions():

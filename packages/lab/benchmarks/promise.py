@@ -106,7 +106,8 @@ def judged(
         except TrainingError as error:
             return row | {"refused": str(error)}
         bundle = load_bundle(path)
-    limits = json.loads(bundle.provenance)["limits"]
+    facts = json.loads(bundle.provenance)
+    limits = facts["limits"]
     levels = {one["text"]: one["share_of_limits"] for one in limits["budgets"]}
     levels |= {"proved": 1 / limits["extrapolated"]["factor"], "largest error": limits["extrapolated"]["largest_seen"]}
     same, others = (ratios_of(bundle, some) for some in (later, other))
@@ -120,6 +121,9 @@ def judged(
         "false": {name: [int((peaks > at).sum()) for peaks, _ in (same, others)] for name, at in levels.items()},
         "hits": {name: int((hits > at).sum()) for name, at in levels.items()},
         "touches": len(hits),
+        "faults": sorted({one["code"] for one in facts["limit_findings"] if one["severity"] == "fault"}),
+        "largest_ratios": [np.sort(peaks)[::-1][:50].round(4).tolist() for peaks, _ in (same, others)],
+        "touch_ratios": np.sort(hits)[::-1].round(4).tolist(),
     }
 
 

@@ -9,6 +9,9 @@ lognormal factor. Of the draws of both, the factor f is the level for which
 .. math:: \operatorname{median}\ \lambda(f / g) = B
 
 and at least the largest peak that the budget B does not allow. The other draws give the interval of the rate.
+
+Two errors that a short time hardly shows raise single limits afterwards: a joint at rest hides up to its friction, and
+rare errors of slow motion are larger than the error scale there.
 """
 
 from __future__ import annotations
@@ -20,9 +23,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaincinv, ndtri
 
-from tauext._core import Bundle
+from tauext._core import Bundle, MotionFeature
 from tauext.errors import TrainingError
 from tauext.fit.tail import FalseAlarmBudget, duration
+from tauext.train.error_scale import FEATURES
 from tauext.train.held_peaks import REGIONS, Moment, Peaks, collect_peaks
 from tauext.train.hits import noticed_pushes_n
 from tauext.train.paper_limits import LimitMotion
@@ -42,7 +46,7 @@ class AskedConfig:
     """Mean and standard deviation of the prior of the tail's shape."""
     scale: tuple[float, float] = (0.1, 0.4)
     """Median of the prior of its scale, as a share of the threshold, and the standard deviation of the logarithm."""
-    growth: float = 0.3
+    growth: float = 0.22
     """Median of ln g, the growth of errors by friction that the motion does not show, and ..."""
     growth_spread: float = 0.2
     """... its standard deviation; both fall as ..."""
@@ -50,11 +54,26 @@ class AskedConfig:
     """... 1 / sqrt(1 + hours / this): hours contain warm-up, programs and pauses of their own."""
     reserve_hours: float = SupportedConfig.decay_s / 3600
     """The reserve of friction in the limits of the first minutes fades with this time, and the growth replaces it."""
+    rest_share: float = 0.75
+    """Least limit of a joint at rest as a share of its friction: in 80 minutes of rests, the largest errors of each
+    joint were 0.2 to 0.75 of it. It falls as ..."""
+    rest_hours: float = 2.0
+    """... 1 / sqrt(1 + hours / this)."""
+    slow_share: float = 0.3
+    """Least limit as a share of that of usual motion. It falls as ..."""
+    slow_hours: float = 0.5
+    """... 1 / sqrt(1 + hours / this)."""
     draws: int = 256
     interval: float = 0.9
     """Probability of the stated interval."""
     times_as_many: tuple[float, ...] = (8.0, 48.0)
     """Budgets stated beside the one asked for, in false alarms of it."""
+
+    def floors(self, hours: float) -> tuple[float, float]:
+        """Least limit as a share of that of usual motion, and at rest as a share of the friction."""
+        shares = (self.slow_share, self.slow_hours), (self.rest_share, self.rest_hours)
+        slow, rest = (share / math.sqrt(1 + hours / fades) for share, fades in shares)
+        return slow, rest
 
 
 @dataclass(frozen=True)
@@ -147,10 +166,11 @@ def put_asked(bundle: Bundle, motion: LimitMotion, config: AskedConfig = AskedCo
     asked = FalseAlarmBudget(motion.alarm.false_alarms, motion.alarm.in_hours)
     found, worst = proved(bundle, motion, config)
     promised, facts = found.promised, found.facts
-    factor = 1.0
+    factor, floors = 1.0, None
     if promised is None or not promised.promise.is_supported or not motion.by_calibration:
         factor = worst.level(asked.rate_per_hour)
         put_factors(bundle, factor, worst.level(max(motion.alarm.contacts_an_hour, asked.rate_per_hour)))
+        floors = put_floors(bundle, worst.hours, config)
         for moment in facts.get("one_moment", []):
             moment["limit_nm"] *= factor
             moment["without_nm"] *= factor
@@ -165,6 +185,7 @@ def put_asked(bundle: Bundle, motion: LimitMotion, config: AskedConfig = AskedCo
             "hours": worst.hours,
             "factor": factor,
             "largest_seen": float(worst.peaks[0] / factor),
+            "floors": list(config.floors(worst.hours)) if floors is not None else [],
         }
         facts |= {
             "sentence": asked_sentence(asked, facts["extrapolated"], promised),
@@ -175,7 +196,7 @@ def put_asked(bundle: Bundle, motion: LimitMotion, config: AskedConfig = AskedCo
     motion.note(facts["sentence"])
     motion.note(budgets_sentence(facts["budgets"]))
     if not motion.by_calibration:
-        put_other_motion(bundle, motion, found, factor, asked.rate_per_hour)
+        put_other_motion(bundle, motion, found, factor, asked.rate_per_hour, floors)
     note_moments(bundle, [Moment(**one) for one in facts.get("one_moment", [])], motion.note)
     return facts
 
@@ -204,6 +225,28 @@ def put_factors(bundle: Bundle, collision: float, contact: float) -> None:
         limit_nm = np.array(getattr(bundle, f"{region}_limit_nm"))
         setattr(bundle, f"contact_{region}_limit_nm", (min(contact, collision) * limit_nm).tolist())
         setattr(bundle, f"{region}_limit_nm", (collision * limit_nm).tolist())
+
+
+def put_floors(bundle: Bundle, hours: float, config: AskedConfig) -> np.ndarray | None:
+    """Raise limits that follow the error where they are lowest; returns the least ones sliding and at rest,
+    (2, joints), [N m], or None if limits are constant.
+
+    At rest that is a share of the joint's friction, as far as the bundle has a prior of it.
+    """
+    scale = bundle.error_scale
+    if not scale.follows:
+        return None
+    least, share = config.floors(hours)
+    rest_nm = share * np.array([bundle.prior.friction_at_rest_nm(j) for j in range(bundle.joints)])
+    at_rest = rest_nm / np.array(bundle.near_stiction_limit_nm)
+    weights = np.array(scale.limit_weights).reshape(bundle.joints, -1)
+    constant, standstill = FEATURES.index(MotionFeature.constant), FEATURES.index(MotionFeature.standstill)
+    weights[:, constant] = np.maximum(weights[:, constant], least)
+    weights[:, standstill] = np.maximum(weights[:, standstill], at_rest - weights[:, constant])
+    scale.limit_weights = weights.ravel().tolist()
+    scale.largest = np.maximum(scale.largest, np.maximum(least, at_rest)).tolist()
+    bundle.error_scale = scale
+    return np.array([least * np.array(bundle.sliding_limit_nm), rest_nm])
 
 
 def budgets(

@@ -120,7 +120,12 @@ def limits_config(follows: bool, config: SupportedConfig = SupportedConfig()) ->
 
 
 def put_other_motion(
-    bundle: Bundle, motion: LimitMotion, found: Raised, times: float = 1.0, rate_per_hour: float | None = None
+    bundle: Bundle,
+    motion: LimitMotion,
+    found: Raised,
+    times: float = 1.0,
+    rate_per_hour: float | None = None,
+    floors_nm: np.ndarray | None = None,
 ) -> None:
     """Test limits that follow the error in each recording by limits from the others, and add it to the facts.
 
@@ -128,10 +133,11 @@ def put_other_motion(
         found: the limits; its facts receive the test.
         times: factor on the limits after they were raised.
         rate_per_hour: false alarms that they are set for, [1/h]; None: those of the budget that is proved.
+        floors_nm: least limits after the factor, sliding and at rest, (2, joints), [N m]; None: there are none.
     """
     if motion.rows is None or found.promised is None or not bundle.error_scale.follows:
         return
-    other = left_out_in_turn(bundle, motion, found)
+    other = left_out_in_turn(bundle, motion, found, None if floors_nm is None else floors_nm / times)
     if other is not None:
         other = replace(other, times=times, rate_per_hour=rate_per_hour or other.rate_per_hour)
     found.facts["other_motion"] = NOT_MEASURED if other is None else other.facts()
@@ -140,15 +146,18 @@ def put_other_motion(
         found.facts["sentence"] += f" {other.broken}: expect {other.factor:.2g} times as many."
 
 
-def left_out_in_turn(bundle: Bundle, motion: LimitMotion, found: Raised) -> OtherMotion | None:
+def left_out_in_turn(
+    bundle: Bundle, motion: LimitMotion, found: Raised, floors_nm: np.ndarray | None = None
+) -> OtherMotion | None:
     """False alarms of each recording by limits from the others, see other_motion."""
     assert motion.rows is not None and found.promised is not None
     watched = np.flatnonzero(bundle.monitored)
     names = [names_of(bundle)[j] for j in watched]
     added = None if motion.added_weights is None else motion.added_weights[watched]
     config = limits_config(follows=True)
+    floors_nm = None if floors_nm is None else floors_nm[:, watched]
     return other_motion(
-        motion.rows.of_joints(watched), names, found.promised, config, found.factor, found.reserve_nm, added
+        motion.rows.of_joints(watched), names, found.promised, config, found.factor, found.reserve_nm, added, floors_nm
     )
 
 
@@ -307,6 +316,7 @@ def other_motion(
     factor: float,
     reserve_nm: tuple[np.ndarray, np.ndarray] | None = None,
     added_weights: np.ndarray | None = None,
+    floors_nm: np.ndarray | None = None,
 ) -> OtherMotion | None:
     """Count false alarms in each recording by limits from the others, found as `put_supported` finds them.
 
@@ -321,6 +331,7 @@ def other_motion(
         factor: factor on the limits.
         reserve_nm: reserve added to the limits at rest [N m], and for each rad/s, (joints,) each.
         added_weights: what other programs add to the scale, (joints, features).
+        floors_nm: least limits sliding and at rest, (2, joints), [N m].
 
     Returns:
         None if there are fewer than three recordings, since with two, one would have to contain every error of the
@@ -341,6 +352,9 @@ def other_motion(
         if reserve_nm is not None:
             at_rest, per_speed = reserve_nm
             limit_nm += at_rest + per_speed * own.features[:, :, FEATURES.index(MotionFeature.speed)]
+        if floors_nm is not None:
+            at_rest = own.features[:, :, FEATURES.index(MotionFeature.standstill)]
+            limit_nm = np.maximum(limit_nm, np.maximum(floors_nm[0], floors_nm[1] * at_rest))
         ratio = own.error_nm / limit_nm
         for number in turn:
             at = own.recording == number

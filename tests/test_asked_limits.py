@@ -142,9 +142,13 @@ def test_limits_have_floors_at_rest_and_in_slow_motion_and_others_stay():
     friction_nm = np.array([before.prior.friction_at_rest_nm(j) for j in range(2)])
     before.sliding_limit_nm = before.near_stiction_limit_nm = (friction_nm * [0.05, 3.0]).tolist()
     after = _core.Bundle.from_bytes(before.to_bytes())
-    config = AskedConfig(rest_share=0.75, rest_hours=2.0, slow_share=0.4, slow_hours=0.75)
+    config = AskedConfig(rest_share=0.75, rest_errors=1e3, rest_hours=2.0, slow_share=0.4, slow_hours=0.75)
     floors_nm = put_floors(after, 6.0, config)
     assert floors_nm == pytest.approx(np.array([0.4 / 3 * np.array(after.sliding_limit_nm), 0.75 / 2 * friction_nm]))
+    still = np.zeros((500, 2))
+    sigma_nm = _core.estimate(before, recordings[0].t_ns[:500], still, still, still, 1)["sigma_nm"][-1]
+    few = put_floors(_core.Bundle.from_bytes(before.to_bytes()), 6.0, replace(config, rest_errors=0.1))
+    assert few[1] == pytest.approx(0.1 / 2 * sigma_nm, rel=0.05)
     limit_nm = {}
     for dq_rad_s in (0.0, 1e-9, 1.0):  # at rest, slower than it starts, and at 1 rad/s all the time
         t_ns = recordings[0].t_ns

@@ -55,8 +55,10 @@ class AskedConfig:
     reserve_hours: float = SupportedConfig.decay_s / 3600
     """The reserve of friction in the limits of the first minutes fades with this time, and the growth replaces it."""
     rest_share: float = 0.75
-    """Least limit of a joint at rest as a share of its friction: in 80 minutes of rests, the largest errors of each
-    joint were 0.2 to 0.75 of it. It falls as ..."""
+    """Least limit of a joint at rest as a share of its friction, ..."""
+    rest_errors: float = 7.0
+    """... or this many standard errors at rest, whichever is lower: in 80 minutes of rests, the largest errors of each
+    joint were 3 to 7 times their root mean square, and 0.2 to 0.75 of its friction. It falls as ..."""
     rest_hours: float = 2.0
     """... 1 / sqrt(1 + hours / this)."""
     slow_share: float = 0.3
@@ -69,11 +71,10 @@ class AskedConfig:
     times_as_many: tuple[float, ...] = (8.0, 48.0)
     """Budgets stated beside the one asked for, in false alarms of it."""
 
-    def floors(self, hours: float) -> tuple[float, float]:
-        """Least limit as a share of that of usual motion, and at rest as a share of the friction."""
-        shares = (self.slow_share, self.slow_hours), (self.rest_share, self.rest_hours)
-        slow, rest = (share / math.sqrt(1 + hours / fades) for share, fades in shares)
-        return slow, rest
+
+def faded(hours: float, by_hours: float) -> float:
+    """Share that remains of a term which minutes need after so many hours: 1 / sqrt(1 + hours / by_hours)."""
+    return 1 / math.sqrt(1 + hours / by_hours)
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,7 @@ class WorstErrors:
         even = (np.arange(config.draws) + 0.5) / config.draws
         paired = np.random.default_rng(0)
         above = paired.permutation(gammaincinv(count + 0.5, even)) / hours
-        unseen = 1 / math.sqrt(1 + hours / config.growth_hours)
+        unseen = faded(hours, config.growth_hours)
         growth = -config.growth * math.expm1(-hours / config.reserve_hours)
         grown = np.exp(unseen * (growth + config.growth_spread * ndtri(paired.permutation(even))))
         levels = np.r_[np.unique(peaks[:200]), peaks[0] * np.geomspace(1.001, 50, 300)]
@@ -185,7 +186,7 @@ def put_asked(bundle: Bundle, motion: LimitMotion, config: AskedConfig = AskedCo
             "hours": worst.hours,
             "factor": factor,
             "largest_seen": float(worst.peaks[0] / factor),
-            "floors": list(config.floors(worst.hours)) if floors is not None else [],
+            "floors_nm": [] if floors is None else floors.tolist(),
         }
         facts |= {
             "sentence": asked_sentence(asked, facts["extrapolated"], promised),
@@ -231,16 +232,18 @@ def put_floors(bundle: Bundle, hours: float, config: AskedConfig) -> np.ndarray 
     """Raise limits that follow the error where they are lowest; returns the least ones sliding and at rest,
     (2, joints), [N m], or None if limits are constant.
 
-    At rest that is a share of the joint's friction, as far as the bundle has a prior of it.
+    At rest it follows from the joint's friction and its standard error there, as far as the bundle has a prior of it.
     """
     scale = bundle.error_scale
     if not scale.follows:
         return None
-    least, share = config.floors(hours)
-    rest_nm = share * np.array([bundle.prior.friction_at_rest_nm(j) for j in range(bundle.joints)])
+    constant, standstill = FEATURES.index(MotionFeature.constant), FEATURES.index(MotionFeature.standstill)
+    sigma_nm = np.array(scale.sigma_near_weights).reshape(bundle.joints, -1)[:, [constant, standstill]].sum(axis=1)
+    friction_nm = np.array([bundle.prior.friction_at_rest_nm(j) for j in range(bundle.joints)])
+    least, fades = config.slow_share * faded(hours, config.slow_hours), faded(hours, config.rest_hours)
+    rest_nm = fades * np.minimum(config.rest_share * friction_nm, config.rest_errors * sigma_nm)
     at_rest = rest_nm / np.array(bundle.near_stiction_limit_nm)
     weights = np.array(scale.limit_weights).reshape(bundle.joints, -1)
-    constant, standstill = FEATURES.index(MotionFeature.constant), FEATURES.index(MotionFeature.standstill)
     weights[:, constant] = np.maximum(weights[:, constant], least)
     weights[:, standstill] = np.maximum(weights[:, standstill], at_rest - weights[:, constant])
     scale.limit_weights = weights.ravel().tolist()

@@ -605,6 +605,38 @@ void without_a_prior_nothing_is_expected() {
   }
 }
 
+// A joint that slides and turns back, a thousandth of the narrowest width a step: its presliding states turn the sum of the
+// weights, and the rest of its friction turns at once.
+void half_of_the_friction_has_turned_after_the_turning_travel() {
+  const std::vector<double> widths{1e-4, 3e-4, 1e-3};
+  const std::vector<std::vector<double>> fits{{-2, -4, 0}, {-1, -1, -3}, {-14, 9, 0.5}, {-1, 0, -1}, {-0.5, -0.5, -1}};
+  for (const std::vector<double>& weights : fits) {
+    PriorSettings prior;
+    prior.widths_rad = widths;
+    prior.terms = {{TermKind::coulomb, 0, 0, 0, 0, 1e-3}};
+    prior.weights = {-1};
+    for (std::int32_t w = 0; w < 3; ++w) {
+      prior.terms.push_back({TermKind::presliding, 0, w, 0, 0, 0});
+      prior.weights.push_back(weights[static_cast<std::size_t>(w)]);
+    }
+    Presliding bank(1, widths);
+    double q = 0, back = 0, sum = 0;
+    for (; q < 0.1; q += 1e-4) bank.step(std::span(&q, 1));
+    do {
+      q -= 1e-7;
+      back += 1e-7;
+      bank.step(std::span(&q, 1));
+      sum = 1;  // the Coulomb term, turned
+      for (int w = 0; w < 3; ++w) sum += weights[static_cast<std::size_t>(w)] * bank.value(0, w);
+    } while (sum < 0);
+    CHECK(std::fabs(turning_travel(prior, 0) - back) < 2e-7);
+  }
+  PriorSettings coulomb;
+  coulomb.terms = {{TermKind::coulomb, 0, 0, 0, 0, 1e-3}};
+  coulomb.weights = {-1};
+  CHECK(turning_travel(coulomb, 0) == 0 && turning_travel({}, 0) == 0);
+}
+
 }  // namespace
 
 int main() {
@@ -628,5 +660,6 @@ int main() {
   the_doubt_bounds_the_error_of_an_unknown_start();
   the_doubt_after_forgetting_bounds_what_happened_unseen();
   without_a_prior_nothing_is_expected();
+  half_of_the_friction_has_turned_after_the_turning_travel();
   return check::result();
 }

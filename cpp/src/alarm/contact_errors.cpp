@@ -11,13 +11,15 @@ namespace tauext {
 ContactErrors::ContactErrors(const Bundle& bundle)
     : joints_(bundle.joints()), gain_per_s_(bundle.observer.gain_per_s) {
   const std::vector<double>& widths = bundle.prior.widths_rad;
-  const double ratio = widths.empty() ? 0.0 : kBuildsUpRad / widths.front(), coarse = 1 / (1 + ratio * ratio);
-  const double share = kFineShare + (kCoarseShare - kFineShare) * coarse;
+  const std::vector<double>& factors = bundle.observer.nm_per_unit;
   const bool found = std::ranges::any_of(bundle.prior.terms, [](const Term& term) { return is_load(term); });
   const std::vector<double> shares = load_friction_shares(bundle.prior, joints_);
   for (int j = 0; j < joints_; ++j) {
     const auto at = static_cast<std::size_t>(j);
-    hidden_nm_[j] = share * friction_line(bundle.prior, at).at_rest_nm;
+    const double travel = turning_travel(bundle.prior, at);
+    unseen_[j] = travel > 0 ? std::min(widths.front() / travel, 1.0) : 1.0;
+    at_rest_nm_[j] = friction_line(bundle.prior, at).at_rest_nm;
+    of_load_[j] = shares[at] * (factors.empty() ? 1.0 : std::fabs(factors[at]));
     of_torque_[j] = std::hypot(found ? shares[at] : kUsualRubbing, bundle.in_newtons(j) ? bundle.wrench.share(at) : 0.0);
     unsure_nm_[j] = kUnsureBank;
   }
@@ -29,6 +31,15 @@ ContactErrors::ContactErrors(const Bundle& bundle)
     if (term.kind == TermKind::local_memory) unsure_nm_[static_cast<std::size_t>(term.a)] = kUnsureLocal;
   }
   for (int j = 0; j < joints_; ++j) unsure_nm_[j] *= bent[j];
+}
+
+void ContactErrors::find_hidden(std::uint32_t near_stiction, std::span<const double> coulomb, std::span<const double> tau) noexcept {
+  for (int j = 0; j < joints_; ++j) {
+    if (!(near_stiction >> j & 1)) continue;
+    const auto at = static_cast<std::size_t>(j);
+    const double largest = at_rest_nm_[j] + of_load_[j] * std::fabs(tau[at]), expected = coulomb.empty() ? largest : coulomb[at];
+    hidden_[j] = unseen_[j] * unseen_[j] * (expected * expected + largest * largest / 3);
+  }
 }
 
 void ContactErrors::step(std::int64_t t_ns, std::uint32_t near_stiction, bool touched, std::span<const double> tau_ext,
@@ -43,19 +54,21 @@ void ContactErrors::step(std::int64_t t_ns, std::uint32_t near_stiction, bool to
   s.t_ns = t_ns;
   s.since_s = touched ? 0.0 : std::min(s.since_s + dt, kStaysS);
   s.touched = touched ? 1.0 : s.kept * s.touched;
-  s.pressed = near_stiction & (s.since_s < kStaysS ? ~std::uint32_t{0} : s.pressed);
+  if (s.since_s < kStaysS) s.pressed = ~std::uint32_t{0};
   for (int j = 0; j < joints_; ++j) {
     const auto at = static_cast<std::size_t>(j);
     const double now = dt > 0 ? (tau_ext[at] - s.tau_ext[j]) / dt : 0.0;
     s.rate[j] += (1 - s.kept) * (now - s.rate[j]);
     if (!s.started) s.rate[j] = 0;
     s.tau_ext[j] = tau_ext[at];
-    const bool pressed = s.pressed >> j & 1;
-    const double hidden = pressed ? hidden_nm_[j] : 0.0;
+    if (std::fabs(tau_ext[at]) > kNoticed * sigma_nm[at]) s.pressed |= std::uint32_t{1} << j;
+    const bool pressed = (s.pressed & near_stiction) >> j & 1;
+    const double hidden = pressed ? hidden_[j] : 0.0;
     const double unsure = pressed && !memory_gap.empty() ? unsure_nm_[j] * memory_gap[at] : 0.0;
     const double of_torque = s.touched * of_torque_[j] * tau_ext[at], lag = s.touched * s.rate[j] / gain_per_s_;
-    into[at] = std::sqrt(sigma_nm[at] * sigma_nm[at] + hidden * hidden + unsure * unsure + of_torque * of_torque + lag * lag);
+    into[at] = std::sqrt(sigma_nm[at] * sigma_nm[at] + hidden + unsure * unsure + of_torque * of_torque + lag * lag);
   }
+  s.pressed &= near_stiction;
   s.started = true;
 }
 

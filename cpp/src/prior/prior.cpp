@@ -249,4 +249,30 @@ FrictionLine friction_line(const PriorSettings& prior, std::size_t joint) {
   return {std::max(at_usual - slope * usual, 0.0), slope};
 }
 
+double turning_travel(const PriorSettings& prior, std::size_t joint) {
+  std::vector<double> parts(prior.widths_rad.size());  // of each width, [N m]
+  double at_once = friction_line(prior, joint).at_rest_nm;
+  for (std::size_t m = 0; m < prior.terms.size(); ++m) {
+    const Term& term = prior.terms[m];
+    if (term.kind != TermKind::presliding || static_cast<std::size_t>(term.a) != joint) continue;
+    const double part = -prior.weights[joint * prior.terms.size() + m];
+    parts[static_cast<std::size_t>(term.b)] += part;
+    at_once -= part;
+  }
+  const auto friction_after = [&](double travel) {
+    double sum = std::max(at_once, 0.0);
+    for (std::size_t w = 0; w < parts.size(); ++w) sum += parts[w] * std::min(travel / prior.widths_rad[w] - 1, 1.0);
+    return sum;
+  };
+  double from = 0, before = friction_after(0);
+  if (before >= 0) return 0;
+  for (const double width : prior.widths_rad) {  // the friction is linear between the travels 2 w
+    const double to = 2 * width, after = friction_after(to);
+    if (after >= 0) return from + (to - from) * before / (before - after);
+    from = to;
+    before = after;
+  }
+  return 0;
+}
+
 }  // namespace tauext

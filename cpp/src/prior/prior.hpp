@@ -26,6 +26,9 @@ struct FrictionLine {
   double at_rest_nm = 0, per_speed = 0;
 };
 FrictionLine friction_line(const PriorSettings& prior, std::size_t joint);
+// Travel after a reversal from sliding at which the joint's friction passes through 0, [rad]; 0 if Coulomb terms hold at least
+// half of its friction at rest, and without friction.
+double turning_travel(const PriorSettings& prior, std::size_t joint);
 
 // Evaluates the terms of a prior, sample by sample.
 class PriorTerms {

@@ -221,6 +221,7 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
     raised[j] = e.doubt[j] + widened_at_rest_nm_[j] + widened_per_speed_[j] * std::fabs(sample.dq[static_cast<std::size_t>(j)]);
   factors_.raise(sample.dq, first_joints(raised));
   e.near_stiction = o.near_stiction;
+  contact_errors_.find_hidden(e.near_stiction, o.coulomb, sample.tau);
   const bool expects = expected && expected->on(), declares = contacts && contacts->any();
   bool pressed = false;
   if (expects || declares)

@@ -60,7 +60,7 @@ ObserveStage::ObserveStage(const Bundle& bundle, int answer_every)
   watch_.emplace(joints_, bundle.observer.sample_period_ns, bundle.observer.network_stride, bundle.signals,
                  bundle.servo.on());
   limits_ = bundle.limits;
-  reports_friction_parts_ = bundle.drift.follows_factors();
+  reports_friction_parts_ = bundle.drift.follows_factors() || bundle.error_scale.on();
   near_memory_ns_ = std::llround(1e9 * bundle.limits.near_memory_s);
   if (!bundle.has_network()) return;
   input_factors_ = bundle.input_factors;

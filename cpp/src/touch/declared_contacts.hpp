@@ -20,7 +20,7 @@ class TorqueSpan;
 // Explains tau_ext by what the declared contacts admit. At a frame that is the wrench w = (f, m) of
 //
 //   min |M^-1 (tau_ext - F^T w)|,  f within its cone, |f| <= at_most_n, |m| <= at_most_nm,
-//   M_j^2 = sigma_j^2 + (hidden_j F_j)^2 + (of_torque_j tau_j)^2,
+//   M_j^2 = sigma_j^2 + hidden_j^2 + (of_torque_j tau_j)^2,
 //
 // with the variances of ContactErrors. F is the frame's Jacobian behind the observer's filter: a constant force then explains r
 // exactly while the arm moves. Of a joint, it is the torque within its bounds.

@@ -91,7 +91,8 @@ def weigh(data: Path, label: str, path: Path, maker: Maker, takes: dict[str, Car
                 outcomes.append(Weighed(*one, "refused"))
                 continue
             off, error = (float(np.linalg.norm(v)) for v in (found.com_m - truth.com_m, found.com_error_m))
-            outcomes.append(Weighed(*one, found.verdict, found.mass_kg, mass_error(found), off, error))
+            stated = found.mass_kg, mass_error(found), off, error, found.constants_error_kg
+            outcomes.append(Weighed(*one, found.verdict, *stated))
     return outcomes
 
 
@@ -142,6 +143,7 @@ class Weighed:
     mass_error_kg: float = np.nan
     off_m: float = np.nan
     com_error_m: float = np.nan
+    constants_error_kg: float = np.nan
 
     @property
     def within(self) -> tuple[float, float]:
@@ -186,27 +188,33 @@ def row(of: Sequence[Weighed]) -> dict:
         "com_where_told": float(where[1].mean()) if len(where[1]) else None,
         "mass_bias": float(np.median(share)),
         "mass_spread": float(np.quantile(np.abs(share - np.median(share)), 0.68)),
-        "mass_rms": float(np.sqrt(np.mean(share**2))),
-        "mass_rms_stated": float(np.sqrt(np.mean(np.square([w.mass_error_kg / w.truth.mass_kg for w in seen])))),
+        "mass_rms": rms(share),
+        "mass_rms_stated": rms([w.mass_error_kg / w.truth.mass_kg for w in seen]),
+        "constants_rms_stated": rms([w.constants_error_kg / w.truth.mass_kg for w in seen]),
         "within_2_errors": float(np.mean(np.abs(off) <= 2 * np.array([w.mass_error_kg for w in seen]))),
         "verdicts": dict(Counter(w.verdict for w in loads)),
         "pushes": dict(Counter(w.verdict for w in of if w.truth.push_n > 0)),
     }
 
 
+def rms(values: Sequence[float] | np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
 def tables(facts: dict, factors: dict[str, dict]) -> list[str]:
     """Masses and centres, verdicts, factors found with a known weight beside the true ones."""
     lines = head(
         "constants | arm | windows | mass | centre | both | mass certain | mass right where certain | centre certain "
-        "| centre right where certain | mass error, median (68 %) | RMS | RMS stated | mass within two standard errors "
-        "| loads | forces"
+        "| centre right where certain | mass error, median (68 %) | RMS | stated | of it constants "
+        "| mass within two standard errors | loads | forces"
     )
     keys = ("mass", "com", "both", "mass_told", "mass_where_told", "com_told", "com_where_told")
     for kind, arms in facts.items():
         for arm, f in arms.items():
             shares = ["–" if f[key] is None else f"{f[key]:.1%}" for key in keys]
             off = [f"{f['mass_bias']:+.1%} (± {f['mass_spread']:.1%})"]
-            off += [f"{f['mass_rms']:.1%}", f"{f['mass_rms_stated']:.1%}", f"{f['within_2_errors']:.0%}"]
+            off += [f"{f[key]:.1%}" for key in ("mass_rms", "mass_rms_stated", "constants_rms_stated")]
+            off += [f"{f['within_2_errors']:.0%}"]
             counts = (", ".join(f"{n} {v}" for v, n in sorted(f[key].items())) for key in ("verdicts", "pushes"))
             lines.append(table_row(TITLES[kind], arm, f["windows"], *shares, *off, *counts))
     lines += ["", *head("arm | constants off by, joint by joint | after one known weight | after two")]

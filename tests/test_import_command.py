@@ -254,12 +254,18 @@ def test_meshes_given_at_import_or_at_training_give_the_links_their_shapes(workp
 
     assert main([*train, "--out", str(workplace / "arm.tauext"), "--meshes", str(wrong)]) == 2
     assert capsules() == 0
-    assert "the shape of 2 of 2 links is guessed: shapes of " in capsys.readouterr().err
+    guessed = "the shapes of 2 of 2 links are guessed, and so are places of touches on "
+    assert f"{guessed}shoulder, elbow: shapes of " in capsys.readouterr().err
     assert capsules("--meshes", f"cell_arm={right / 'cell_arm'}") == 2
     assert "guessed" not in capsys.readouterr().err
     shutil.rmtree(workplace / "out")
     code, out, _ = run(capsys, workplace, extra=("--meshes", str(right)))
     assert code == 0 and "guessed" not in out and capsules() == 2
+    bare = workplace / "out/robot.urdf"
+    bare.write_text(bare.read_text().replace(mesh, "</link>"))
+    (workplace / "out/robot.shapes.json").unlink()
+    assert capsules() == 0
+    assert f"{guessed}shoulder, elbow: the robot file has no geometry for them; import with" in capsys.readouterr().err
     shutil.rmtree(workplace / "out")
     (workplace / "arm.toml").write_text(ARM.replace('model = "arm.urdf"\n', "").format(rest="", robot=""))
     words = ["--source", str(workplace / "one.bag"), "--arm", str(workplace / "arm.toml"), "--meshes", str(right)]

@@ -18,7 +18,7 @@ from tauext.monitor.changes import ChangeFinder
 from tauext.monitor.episode import EpisodeFinder
 from tauext.monitor.reactions import ReactionThread, content_of
 from tauext.monitor.sink import EventFinder, ReactionEvent, Verdict
-from tauext.monitor.touch_place import FrameForce, PlaceFinder, links_words
+from tauext.monitor.touch_place import FrameForce, PlaceChange, PlaceFinder, links_words
 
 SIGMA_NM, RATE_HZ, RISES, FALLS = 0.1, 1000, 200, 900
 JOINTS = tuple(f"joint{k + 1}" for k in range(7))
@@ -129,6 +129,25 @@ def test_words_and_facts(bundle, signals):
     assert event == "place" and content["joint"] == "joint5" and content["links"] == facts["links"]
     assert content["shapes_guessed"] is False
     json.dumps(content, allow_nan=False)
+
+
+def test_a_push_straight_through_a_wrist_is_named_beside_a_larger_one_nearer_to_the_base(bundle):
+    """40 N at the fifth link, through the centre of its wrist, along the direction that loads two joints."""
+    q, sigma = [0.55, -0.92, -1.84, -1.93, 1.25, 1.65, 0.43], [0.3, 0.4, 0.25, 0.3, 0.15, 0.1, 0.08]
+    columns = _core.WrenchModel(bundle).columns(bundle.links[4].joint_name, q, axes=_core.WrenchAxes.base)[:3]
+    straight = np.linalg.svd(columns[:, 2:].T)[2][-1]
+
+    def told(force: np.ndarray) -> PlaceChange:
+        sample = (q, (force @ columns).tolist(), sigma, sigma, [0.0] * 7)
+        return PlaceChange.of(_core.PlaceModel(bundle), sample, 0, 0, 2, 0, 0.1)
+
+    aimed, other = told(40 * straight), told(40 * np.cross(straight, [0.0, 0.0, 1.0]))
+    assert {link for link, share in aimed.links if share > 0.1} <= {0, 1, 2} and aimed.straight == (3, 4, 5, 6)
+    assert aimed.interval_n[0] < 40 < aimed.interval_n[1]
+    (words,) = aimed.words(JOINTS)
+    assert "joint2 or joint3" in words and ", or straight through the axes on " in words and " within " not in words
+    assert aimed.facts(JOINTS)["straight_links"] == [JOINTS[link] for link in aimed.straight]
+    assert other.straight == () and "straight" not in other.words(JOINTS)[0]
 
 
 @pytest.mark.parametrize(

@@ -66,6 +66,8 @@ void bind_fit(nb::module_& m) {
               "Standard error of the mass from the errors of tau_ext in this motion, [kg].")
       .def_ro("constants_error_kg", &LoadFound::constants_error_kg,
               "Standard error of the mass from the torque constants, about the same share of every weight, [kg].")
+      .def_prop_ro("mass_by_constant_kg", [](const LoadFound& f) { return numbers(f.mass_by_constant_kg); },
+                   "Change of the mass with each joint's torque, for all of it, (32,), [kg].", nb::rv_policy::move)
       .def_prop_ro("com_m", [](const LoadFound& f) { return numbers(f.com_m); },
            "Centre of mass, (3,), [m].", nb::rv_policy::move)
       .def_prop_ro("com_error_m", [](const LoadFound& f) { return numbers(f.com_error_m); },
@@ -105,7 +107,7 @@ void bind_known_weight(nb::module_& m) {
                    "Of each joint, (n,).", nb::rv_policy::move)
       .def_prop_ro("errors", [](const KnownWeight& k) { return to_numpy(std::vector(k.errors), {k.errors.size()}); },
                    "Standard errors of the factors, (n,).", nb::rv_policy::move)
-      .def_ro("shows", &KnownWeight::shows, "Whether a factor was found at the joint itself; the others have the common one.")
+      .def_ro("shows", &KnownWeight::shows, "Whether a factor was found at the joint itself; the others follow the common one.")
       .def_ro("common", &KnownWeight::common, "Factor of all joints together.")
       .def_ro("common_error", &KnownWeight::common_error, "Standard error of the common factor.")
       .def_prop_ro("com_m", [](const KnownWeight& k) { return numbers(k.com_m); }, "Centre of mass, (3,), [m].",

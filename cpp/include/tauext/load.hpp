@@ -119,6 +119,7 @@ struct LoadFound {
   double mass_kg = 0;       // negative if the arm carries less than the load that is set
   double mass_error_kg = 0; // standard error from the errors of tau_ext in this motion
   double constants_error_kg = 0;  // standard error from the torque constants, about the same share of every weight
+  JointVector mass_by_constant_kg{};  // a joint: change of the mass with its torque, for all of it
   std::array<double, 3> com_m{}, com_error_m{};  // the errors contain both
   std::array<double, 9> com_covariance{};   // (3, 3), row-major, [m^2]; this and `covariance` without the constants
   std::array<double, 16> covariance{};      // (4, 4) of mass and first moment

@@ -308,6 +308,9 @@ struct WrenchSettings {
   std::vector<double> correlation;   // (joints, joints) in free motion, positive definite; empty: independent
   std::vector<double> torque_share;  // per joint: relative standard error of the torque constant; empty: the default
   double common_share = 0;           // relative standard error of a factor common to all joints
+  // After a known weight; empty: 1, and independent errors.
+  std::vector<double> torque_factor;       // per joint: torque of a load or force as measured, over the true one
+  std::vector<double> torque_correlation;  // (joints, joints) of the own errors
   // By WrenchKind. radius: factor on the variances of free motion, so that 95 % of its errors lie in the 95 %
   // ellipsoid. residual_radius: factor on the chi-square of the unexplained remainder.
   std::array<double, 2> radius{1, 1}, residual_radius{1, 1};
@@ -316,7 +319,14 @@ struct WrenchSettings {
   double own_share(std::size_t joint) const noexcept {
     return torque_share.empty() ? kUsualTorqueShare : torque_share[joint];
   }
-  double share(std::size_t joint) const noexcept { return std::hypot(common_share, own_share(joint)); }
+  double factor(std::size_t joint) const noexcept { return torque_factor.empty() ? 1.0 : torque_factor[joint]; }
+  // Of tau_ext, in which a joint keeps its own factor.
+  double share(std::size_t joint) const noexcept { return std::hypot(common_share, own_share(joint), factor(joint) - 1); }
+  // Covariance of two joints' relative errors.
+  double constants_covariance(std::size_t i, std::size_t j) const noexcept {
+    const double alike = torque_correlation.empty() ? (i == j ? 1.0 : 0.0) : torque_correlation[i * torque_factor.size() + j];
+    return common_share * common_share + alike * own_share(i) * own_share(j);
+  }
   // Throws Error with the field that is invalid for this number of joints.
   void validate(int joints) const;
 };

@@ -146,6 +146,12 @@ void field(File& file, Bundle& b) {
          b.reference.prior, b.reference.network);
 }
 
+// At the end, only in bundles that a known weight corrected.
+template <class File>
+void of_known_weight(File& file, Bundle& b) {
+  fields(file, b.wrench.torque_factor, b.wrench.torque_correlation);
+}
+
 }  // namespace
 
 std::uint32_t crc32(std::span<const char> bytes, std::uint32_t crc) noexcept {
@@ -165,6 +171,7 @@ std::uint32_t crc32(std::span<const char> bytes, std::uint32_t crc) noexcept {
 std::vector<char> encode(const Bundle& bundle) {
   Writer payload, file;
   field(payload, const_cast<Bundle&>(bundle));  // a Writer only reads
+  if (!bundle.wrench.torque_factor.empty()) of_known_weight(payload, const_cast<Bundle&>(bundle));
   const std::uint32_t version[] = {kBundleMajor, kMinor};
   const std::uint64_t size = payload.bytes.size();
   const std::uint32_t crc = crc32(payload.bytes);
@@ -215,6 +222,7 @@ Bundle decode(std::span<const char> bytes) {
   Reader reader(payload);
   Bundle bundle;
   field(reader, bundle);
+  if (!reader.done()) of_known_weight(reader, bundle);
   if (!reader.done()) throw Error("it has contents that this version does not know");
   return bundle;
 }

@@ -40,6 +40,22 @@ void expect_ceiling(const std::string& what, const std::vector<double>& values, 
   expect_each(what, values, [](double value) { return value > 0 && value <= kLargestWeight; }, "above 0, at most 1e200");
 }
 
+// (joints, joints), positive definite with `more` on the diagonal.
+void expect_correlation(const std::string& what, const std::vector<double>& values, std::size_t n, double more) {
+  expect_size(what, values.size(), n * n);
+  std::array<double, kMaxJoints * kMaxJoints> factor;
+  std::ranges::copy(values, factor.begin());
+  for (std::size_t i = 0; i < n; ++i) {
+    factor[i * n + i] += more;
+    for (std::size_t j = 0; j < n; ++j) {
+      const double here = values[i * n + j];
+      if (!(std::fabs(here) <= 1) || (i == j && here != 1) || here != values[j * n + i])
+        throw Error(what + " must be symmetric, 1 on its diagonal, within -1 to 1 beside it");
+    }
+  }
+  if (!cholesky(std::span(factor).first(n * n), n)) throw Error(what + " is not positive definite");
+}
+
 }  // namespace
 
 const char* name(ResidualMethod method) noexcept {
@@ -272,19 +288,14 @@ void WrenchSettings::validate(int joints) const {
       throw Error("frame '" + one.name + "' for wrenches must be fixed to one of the " + std::to_string(joints) +
                   " links, by a rotation and within 1000 m");
   }
-  if (!correlation.empty()) {
-    expect_size("wrench.correlation", correlation.size(), n * n);
-    for (std::size_t i = 0; i < n; ++i)
-      for (std::size_t j = 0; j < n; ++j) {
-        const double here = correlation[i * n + j];
-        if (!(std::fabs(here) <= 1) || (i == j && here != 1) || here != correlation[j * n + i])
-          throw Error("wrench.correlation must be symmetric, 1 on its diagonal, within -1 to 1 beside it");
-      }
-    std::array<double, kMaxJoints * kMaxJoints> factor;
-    std::ranges::copy(correlation, factor.begin());
-    if (!cholesky(std::span(factor).first(n * n), n)) throw Error("wrench.correlation is not positive definite");
-  }
+  if (!correlation.empty()) expect_correlation("wrench.correlation", correlation, n, 0);
   const auto is_share = [](double value) { return value >= 0 && value <= 1; };
+  if (torque_factor.empty() != torque_correlation.empty()) throw Error("wrench.torque_factor and torque_correlation belong together");
+  if (!torque_factor.empty()) {
+    expect_size("wrench.torque_factor", torque_factor.size(), n);
+    expect_each("wrench.torque_factor", torque_factor, [](double value) { return value >= 0.01 && value <= 100; }, "0.01 to 100");
+    expect_correlation("wrench.torque_correlation", torque_correlation, n, 1e-6);  // the errors beside a common one are singular
+  }
   if (!torque_share.empty()) expect_size("wrench.torque_share", torque_share.size(), n);
   expect_each("wrench.torque_share", torque_share, is_share, "0 to 1");
   expect(is_share(common_share), "wrench.common_share", common_share, "0 to 1");

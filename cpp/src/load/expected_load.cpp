@@ -58,7 +58,8 @@ ExpectedLoad::ExpectedLoad(const Bundle& bundle)
   for (int j = 0; j < joints_; ++j)
     if (bundle.in_newtons(j)) {
       ++newton_joints_;
-      own += std::pow(bundle.wrench.own_share(static_cast<std::size_t>(j)), 2);
+      const auto at = static_cast<std::size_t>(j);
+      own += std::pow(std::hypot(bundle.wrench.own_share(at), bundle.wrench.factor(at) - 1), 2);
     }
   const int n = std::max(newton_joints_, 1);
   constants_share_ = std::hypot(bundle.wrench.common_share, std::sqrt(own / (n * std::min(n, 3))));

@@ -15,7 +15,8 @@ namespace {
 
 using Vec3 = std::array<double, 3>;
 
-constexpr double kLeastSpread = 1e-3;  // least relative standard deviation of a joint's constant about the common factor
+constexpr double kLeastSpread = 1e-3;  // least relative standard deviation of a joint's constant about the common factor; also by
+                                       // what it may change until the next weight
 constexpr double kAny = 0.5;           // of the common factor, which is unknown
 constexpr double kComKnown_m = 0.005;  // standard deviation of a centre of mass that is given
 constexpr double kWell = 0.03;  // largest relative error of the common factor: masses of robot files are no better
@@ -30,23 +31,39 @@ struct Fit {
   std::vector<double> a, covariance;  // (n), (3 + n, 3 + n)
 };
 
-// Information before the weighing: each a_j about `mean` by its spread, all of them together by kAny.
-void add_prior(const KnownLoad& known, std::span<const double> spread, double mean, std::span<double> information,
-               std::span<double> moment) {
-  const std::size_t n = spread.size(), size = 3 + n;
+// Relative errors of the a_j before the weighing.
+struct Before {
+  bool common_known;                // by an earlier weight; else the mean of all is free
+  std::vector<double> information;  // (n, n)
+};
+
+Before before_weight(const Bundle& bundle) {
+  const auto n = static_cast<std::size_t>(bundle.joints());
+  Before out{!bundle.wrench.torque_factor.empty(), std::vector<double>(n * n)};
+  std::vector<double> covariance(n * n);
+  for (std::size_t i = 0; i < n; ++i)
+    for (std::size_t j = 0; j < n; ++j) {
+      const double own = i == j ? squared(std::max(bundle.wrench.own_share(j), kLeastSpread)) : 0.0;
+      covariance[i * n + j] = out.common_known ? bundle.wrench.constants_covariance(i, j) + (i == j ? squared(kLeastSpread) : 0.0)
+                                               : own + squared(kAny);
+    }
+  if (!cholesky(covariance, n)) throw Error("the errors of the torque constants are not positive definite");
+  invert(covariance, n, out.information);
+  return out;
+}
+
+void add_prior(const KnownLoad& known, const Before& before, double mean, std::span<double> information, std::span<double> moment) {
+  const std::size_t size = moment.size(), n = size - 3;
   const double h_size = known.com_m ? known.mass_kg * kComKnown_m : std::max(known.mass_kg, kLeastMass_kg) * known.reach_m / 2;
   for (std::size_t i = 0; i < 3; ++i) {
     information[i * size + i] = 1 / squared(h_size);
     if (known.com_m) moment[i] = known.mass_kg * (*known.com_m)[i] / squared(h_size);
   }
-  std::vector<double> own(n);
-  std::ranges::transform(spread, own.begin(), [mean](double share) { return 1 / squared(share * mean); });
-  const double any = 1 / squared(kAny * mean), common = 1 / (any + std::accumulate(own.begin(), own.end(), 0.0));
-  for (std::size_t i = 0; i < n; ++i) {
-    for (std::size_t j = 0; j < n; ++j)
-      information[(3 + i) * size + 3 + j] = (i == j ? own[i] : 0.0) - own[i] * own[j] * common;
-    moment[3 + i] = own[i] * any * common * mean;
-  }
+  for (std::size_t i = 0; i < n; ++i)
+    for (std::size_t j = 0; j < n; ++j) {
+      information[(3 + i) * size + 3 + j] = before.information[i * n + j] / squared(mean);
+      moment[3 + i] += before.information[i * n + j] / mean;
+    }
 }
 
 // A joint's sums with other columns: a in the place of the mass and the target in that of tau_ext, linear about the fit.
@@ -90,15 +107,15 @@ LoadSums::Row left_of(LoadSums::Row target, double mass_kg, double a, const Vec3
 
 // Gauss-Newton in h and every a_j about the load phi.
 Fit solve(const LoadSums& sums, const LoadParameters& phi, const WeighSettings& settings, const KnownLoad& known,
-          std::span<const double> spread, Fit fit) {
+          const Before& before, Fit fit) {
   const std::size_t n = fit.a.size(), size = 3 + n;
-  const double mean = std::accumulate(fit.a.begin(), fit.a.end(), 0.0) / static_cast<double>(n);
+  const double mean = before.common_known ? 1.0 : std::accumulate(fit.a.begin(), fit.a.end(), 0.0) / static_cast<double>(n);
   std::vector<LoadSums::Row> targets, residuals(n);
   for (double a : fit.a) targets.push_back(load_target(phi, a));
   LoadNoise noise = LoadNoise::unknown();
   for (int step = 0; step < kSteps; ++step) {
     std::vector<double> information(size * size), moment(size);
-    add_prior(known, spread, mean, information, moment);
+    add_prior(known, before, mean, information, moment);
     std::vector<OwnUnknowns> own;
     for (std::size_t j = 0; j < n; ++j) {
       LoadEquations one;
@@ -123,29 +140,33 @@ Fit solve(const LoadSums& sums, const LoadParameters& phi, const WeighSettings& 
   return fit;
 }
 
-// Factors 1 / a, each with its error; the common one is their weighted mean.
-KnownWeight factors_of(const Fit& fit, double mass_kg, std::span<const double> spread, const std::vector<bool>& skipped) {
+// Factors 1 / a, each with its error; the common one is their mean, weighted by the inverse of the covariance.
+KnownWeight factors_of(const Fit& fit, double mass_kg, const Bundle& bundle, const std::vector<bool>& skipped) {
   const std::size_t n = fit.a.size(), size = 3 + n;
   if (std::ranges::any_of(fit.a, [](double a) { return !(a > 0); }))
     throw Error("the known weight acts upwards at a joint: is the sign of its torque right (tauext check)?");
-  std::vector<double> factor(n * n), weight(n, 1.0);
-  for (std::size_t i = 0; i < n; ++i) std::copy_n(&fit.covariance[(3 + i) * size + 3], n, &factor[i * n]);
+  KnownWeight out{{}, {}, std::vector<double>(n * n), {}, 0, 0, {fit.h[0] / mass_kg, fit.h[1] / mass_kg, fit.h[2] / mass_kg}};
+  for (std::size_t i = 0; i < n; ++i)
+    for (std::size_t j = 0; j < n; ++j) out.covariance[i * n + j] = fit.covariance[(3 + i) * size + 3 + j] / (fit.a[i] * fit.a[j]);
+  std::vector<double> factor = out.covariance, weight(n, 1.0);
   if (!cholesky(factor, n)) throw Error("the motion does not determine the torque constants");
   substitute(factor, n, weight);
-  const double whole = std::accumulate(weight.begin(), weight.end(), 0.0);
-  const double mean = std::inner_product(weight.begin(), weight.end(), fit.a.begin(), 0.0) / whole;
-  const double error = 1 / std::sqrt(whole);
-  if (!(error <= kWell * mean))
+  const double whole = std::accumulate(weight.begin(), weight.end(), 0.0), error = 1 / std::sqrt(whole);
+  if (!(error <= kWell))
     throw Error("the motion does not determine the torque constants: their common factor only to " +
-                std::to_string(std::lround(100 * error / mean)) + "%, where " + std::to_string(std::lround(100 * kWell)) +
+                std::to_string(std::lround(100 * error)) + "%, where " + std::to_string(std::lround(100 * kWell)) +
                 "% is needed; move more, with the weight farther from the joints");
-  KnownWeight out{{}, {}, {}, 1 / mean, error / squared(mean), {fit.h[0] / mass_kg, fit.h[1] / mass_kg, fit.h[2] / mass_kg}};
+  const bool again = !bundle.wrench.torque_factor.empty();
+  double log = 0;
   for (std::size_t j = 0; j < n; ++j) {
-    const double of_a = std::sqrt(fit.covariance[(3 + j) * (size + 1)]);
-    out.shows.push_back(!skipped[j] && of_a <= kOfItsOwn * std::hypot(spread[j] * mean, error));
-    out.factors.push_back(out.shows.back() ? 1 / fit.a[j] : out.common);
-    out.errors.push_back(of_a / squared(fit.a[j]));
+    const double own_error = std::sqrt(out.covariance[j * (n + 1)]);
+    out.factors.push_back(1 / (bundle.wrench.factor(j) * fit.a[j]));
+    out.errors.push_back(own_error * out.factors[j]);
+    out.shows.push_back(!skipped[j] && (again || own_error <= kOfItsOwn * std::hypot(bundle.wrench.own_share(j), error)));
+    log += weight[j] / whole * std::log(out.factors[j]);
   }
+  out.common = std::exp(log);
+  out.common_error = error * out.common;
   return out;
 }
 
@@ -168,14 +189,13 @@ KnownWeight weigh_known(const Bundle& bundle, const LoadFrame& frame, std::span<
   const auto n = static_cast<std::size_t>(bundle.joints());
   const WeighSettings settings = Weighing::settings_of(bundle);
   const double common = first[0] / known.mass_kg;
-  std::vector<double> spread;
-  for (std::size_t j = 0; j < n; ++j) spread.push_back(std::max(settings.torque_share[j], kLeastSpread));
+  const Before before = before_weight(bundle);
   Fit fit{{first[1] / common, first[2] / common, first[3] / common}, std::vector(n, common), {}};
   for (int round = 0; round < kLoadRounds; ++round) {
     const LoadParameters phi = beside({known.mass_kg, fit.h[0], fit.h[1], fit.h[2]}, {}, known.reach_m);
-    fit = solve(load_sums(bundle, frame, phi, motions), phi, settings, known, spread, fit);
+    fit = solve(load_sums(bundle, frame, phi, motions), phi, settings, known, before, fit);
   }
-  return factors_of(fit, known.mass_kg, spread, skipped);
+  return factors_of(fit, known.mass_kg, bundle, skipped);
 }
 
 void scale_torques(Bundle& bundle, double factor) {
@@ -199,13 +219,25 @@ void scale_torques(Bundle& bundle, double factor) {
 
 void correct_torques(Bundle& bundle, const KnownWeight& known) {
   scale_torques(bundle, known.common);
-  std::vector<double> shares;
-  for (std::size_t j = 0; j < bundle.links.size(); ++j) {
-    const double left = std::hypot(known.factors[j] / known.common - 1, known.errors[j] / known.factors[j]);
-    shares.push_back(known.shows[j] ? std::min(left, 1.0) : bundle.wrench.own_share(j));
+  const std::size_t n = bundle.links.size();
+  WrenchSettings& wrench = bundle.wrench;
+  wrench.common_share = known.common_error / known.common;
+  const double common = squared(wrench.common_share);
+  wrench.torque_share.clear();
+  wrench.torque_factor.clear();
+  for (std::size_t j = 0; j < n; ++j) {
+    wrench.torque_share.push_back(std::min(std::sqrt(std::max(known.covariance[j * (n + 1)] - common, 0.0)), 1.0));
+    wrench.torque_factor.push_back(known.common / known.factors[j]);
   }
-  bundle.wrench.torque_share = std::move(shares);
-  bundle.wrench.common_share = known.common_error / known.common;
+  wrench.torque_correlation.assign(n * n, 0.0);
+  for (std::size_t i = 0; i < n; ++i) {
+    wrench.torque_correlation[i * (n + 1)] = 1;
+    for (std::size_t j = 0; j < i; ++j) {
+      const double both = wrench.torque_share[i] * wrench.torque_share[j];
+      const double alike = both > 0 ? std::clamp((known.covariance[i * n + j] - common) / both, -1.0, 1.0) : 0.0;
+      wrench.torque_correlation[i * n + j] = wrench.torque_correlation[j * n + i] = alike;
+    }
+  }
 }
 
 }  // namespace tauext

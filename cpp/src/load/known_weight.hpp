@@ -18,13 +18,15 @@ struct KnownLoad {
 // Factors by which the bundle's torques are to be multiplied.
 struct KnownWeight {
   std::vector<double> factors, errors;  // a joint, with standard errors
-  std::vector<bool> shows;              // whether the factor was found at the joint itself; the others have the common one
+  std::vector<double> covariance;       // (joints, joints), of their relative errors
+  std::vector<bool> shows;              // whether the factor was found at the joint itself; the others follow the common one
   double common = 0, common_error = 0;  // of all joints together
   std::array<double, 3> com_m{};
 };
 
-// Fits tau_ext_j = a_j X_j(m, h) + offset_j + Coulomb_j to the rows; the factors are 1 / a_j. Every a_j is regularised to
-// the common one, by the joint's torque_share: a weight at the flange has little effect on the last joints.
+// Fits tau_ext_j = a_j X_j(m, h) + offset_j + Coulomb_j to the rows; the factors are 1 / a_j. Before the first known weight
+// every a_j differs from a common one, of which nothing is known, by the joint's own_share. Each further weight starts from
+// the mean and the covariance that the last one left.
 //  first: the load as weighed with the bundle's constants
 //  skipped: joints whose rows have no worth
 // Throws Error if the motion does not determine the common factor to 3 %.
@@ -36,7 +38,7 @@ KnownWeight weigh_known(const Bundle& bundle, const LoadFrame& frame, std::span<
 // such masses.
 // Estimates scale up to rounding, and limits keep their promise. Call answer_reference() afterwards.
 void scale_torques(Bundle& bundle, double factor);
-// Scales by the common factor, which is then known to its error; constants of joints to what the weighing leaves.
+// Scales by the common factor; what each joint's differs by, and the covariance of the errors, is kept for loads and forces.
 void correct_torques(Bundle& bundle, const KnownWeight& known);
 
 }  // namespace tauext

@@ -366,32 +366,37 @@ LoadVerdict verdict(const LoadFound& found, double mass_kg, const Load& set, con
 
 using Square4 = std::array<double, kMost * kMost>;
 
-// Covariance of a load's (m, h) from the torque constants: the carried torque of joint j is wrong by c + c_j of it.
-Square4 of_constants(const LoadSums& sums, const WeighSettings& settings, const LoadFit& fit, const LoadParameters& about,
-                     const LoadBefore& before, const LoadParameters& carried) noexcept {
+// Change of a load's (m, h) with each joint's torque, for all of the torque that it carries.
+using ByConstant = std::array<std::array<double, kMost>, kMaxJoints>;
+
+ByConstant by_constant(const LoadSums& sums, const LoadFit& fit, const LoadParameters& about, const LoadBefore& before,
+                       const LoadParameters& carried) noexcept {
   const auto times = [](const Square4& matrix, const std::array<double, kMost>& vector) noexcept {
     std::array<double, kMost> out{};
     for (std::size_t a = 0; a < kMost; ++a)
       for (std::size_t b = 0; b < kMost; ++b) out[a] += matrix[kMost * a + b] * vector[b];
     return out;
   };
-  Square4 out{};
-  const auto add = [&out](const std::array<double, kMost>& moved, double share) noexcept {
-    for (std::size_t a = 0; a < kMost; ++a)
-      for (std::size_t b = 0; b < kMost; ++b) out[kMost * a + b] += share * share * moved[a] * moved[b];
-  };
-  std::array<double, kMost> together{};
+  ByConstant out{};
   for (int joint = 0; joint < sums.joints(); ++joint) {
     const auto j = static_cast<std::size_t>(joint);
     LoadEquations of_joint;
     const double weight = 1 / (fit.noise.scale[j] * fit.noise.scale[j] * fit.noise.correlation);
     eliminate(sums.joint(joint).whole, LoadSums::kLoad, kMost, load_target(about), weight,
               {before.offset_nm[j], before.coulomb_nm[j]}, of_joint);
-    const auto moved = times(fit.covariance, times(of_joint.information, {carried[0], carried[1], carried[2], carried[3]}));
-    for (std::size_t a = 0; a < kMost; ++a) together[a] += moved[a];
-    add(moved, settings.torque_share[j]);
+    out[j] = times(fit.covariance, times(of_joint.information, {carried[0], carried[1], carried[2], carried[3]}));
   }
-  add(together, settings.common_share);
+  return out;
+}
+
+// Covariance of (m, h) from the torque constants.
+Square4 of_constants(const ByConstant& moved, const WeighSettings& settings, std::size_t joints) noexcept {
+  Square4 out{};
+  for (std::size_t j = 0; j < joints; ++j)
+    for (std::size_t k = 0; k < joints; ++k)
+      for (std::size_t a = 0; a < kMost; ++a)
+        for (std::size_t b = 0; b < kMost; ++b)
+          out[kMost * a + b] += moved[j][a] * settings.torque_covariance[j * joints + k] * moved[k][b];
   return out;
 }
 
@@ -401,7 +406,7 @@ void report(const LoadFit& fit, const LoadParameters& phi, const Square4& consta
   out.covariance = fit.covariance;
   out.mass_kg = phi[0];
   out.mass_error_kg = std::sqrt(std::max(fit.covariance[0], 0.0));
-  out.constants_error_kg = std::sqrt(constants[0]);
+  out.constants_error_kg = std::sqrt(std::max(constants[0], 0.0));
   const double divisor = std::copysign(std::max(std::fabs(phi[0]), 1e-6), phi[0]);
   for (std::size_t i = 0; i < 3; ++i) out.com_m[i] = phi[1 + i] / divisor;
   std::array<std::array<double, 4>, 3> slope{};  // of the centre of mass with (m, h)
@@ -507,7 +512,9 @@ LoadFound weigh(const LoadSums& sums, const WeighSettings& settings, const Load&
     out.fits[static_cast<std::size_t>(cause)] = solve_load(sums, static_cast<LoadCause>(cause), about, last, noise);
   LoadParameters whole = parameters_of(set);
   for (std::size_t k = 0; k < whole.size(); ++k) whole[k] += now[k];
-  report(fit, now, of_constants(sums, settings, fit, about, last, whole), settings.reach_m, out);
+  const ByConstant moved = by_constant(sums, fit, about, last, whole);
+  for (std::size_t j = 0; j < moved.size(); ++j) out.mass_by_constant_kg[j] = moved[j][0];
+  report(fit, now, of_constants(moved, settings, static_cast<std::size_t>(sums.joints())), settings.reach_m, out);
   out.misfit = fit_of(out, LoadCause::load).misfit;
   out.load = load_of(whole, error_share(out, whole[0]));
   out.at_bound = length(set.mass > 0 ? out.load.com : out.com_m) >= settings.reach_m * (1 - 1e-9);

@@ -116,8 +116,7 @@ SymmetricAxes symmetric_axes(std::span<const double> matrix, int size) noexcept;
 struct WeighSettings {
   JointVector offset_nm{}, coulomb_nm{};     // see LoadBefore
   std::array<double, 3> gravity{};           // in the base frame, [m/s^2]
-  JointVector torque_share{};                // a joint: relative standard error of its torque constant, ...
-  double common_share = 0;                   // ... beside that of a factor common to all
+  std::vector<double> torque_covariance;     // (joints, joints), of the relative errors of the torque constants
   double row_s = 0.01;                       // between rows
   double reach_m = kUsualReach_m;            // largest distance of the centre of mass from the frame's origin
 };

@@ -55,7 +55,7 @@ LoadSums load_sums(const Bundle& bundle, const LoadFrame& frame, const LoadParam
   LoadSums sums(bundle.joints());
   for (const WeighedMotion& motion : motions) {
     std::vector<LoadSums::Row> rows = load_rows(bundle, frame, phi, motion.recording, motion.samples);
-    for (std::size_t k = 0; k < rows.size(); ++k) rows[k][LoadSums::kTauExt] = motion.tau_ext[k];
+    for (std::size_t k = 0; k < rows.size(); ++k) rows[k][LoadSums::kTauExt] = motion.tau_ext[k] / bundle.wrench.factor(k % n);
     for (std::size_t first = 0; first < rows.size(); first += n)
       sums.add(std::span(rows).subspan(first, n), motion.sigma_nm.subspan(first, n), motion.worth.subspan(first, n));
     sums.end_block();

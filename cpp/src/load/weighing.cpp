@@ -40,7 +40,10 @@ Weighing::Weighing(const Bundle& bundle)
       columns_(Tree(bundle.links, bundle.gravity), bundle.prior, load_frame(bundle.load), bundle.observer.gain_per_s),
       sums_(bundle.joints()),
       settings_(settings_of(bundle)) {
-  for (int j = 0; j < joints_; ++j) counts_[static_cast<std::size_t>(j)] = bundle.in_newtons(j);
+  for (int j = 0; j < joints_; ++j) {
+    counts_[static_cast<std::size_t>(j)] = bundle.in_newtons(j);
+    factor_[static_cast<std::size_t>(j)] = bundle.wrench.factor(static_cast<std::size_t>(j));
+  }
   if (!possible(bundle)) throw Error("weighing a load needs the unfiltered momentum observer and a load frame in the bundle");
 }
 
@@ -49,13 +52,13 @@ Weighing::Weighing(const Bundle& bundle)
 WeighSettings Weighing::settings_of(const Bundle& bundle) {
   WeighSettings settings;
   settings.gravity = bundle.gravity;
-  settings.common_share = bundle.wrench.common_share;
   settings.row_s = 1e-9 * static_cast<double>(bundle.observer.sample_period_ns * bundle.observer.network_stride);
   for (std::size_t j = 0; j < bundle.links.size(); ++j) {
     const double drift = bundle.drift.on() ? bundle.drift.size_nm[j] : kDriftOfLimit * bundle.limits.collision.sliding_nm[j];
     settings.offset_nm[j] = kOffsetShare * drift;
     settings.coulomb_nm[j] = kCoulombShare * drift;
-    settings.torque_share[j] = bundle.wrench.own_share(j);
+    for (std::size_t k = 0; k < bundle.links.size(); ++k)
+      settings.torque_covariance.push_back(bundle.wrench.constants_covariance(j, k));
   }
   return settings;
 }
@@ -123,7 +126,7 @@ void Weighing::add_row() noexcept {
   JointVector worth;
   for (int joint = 0; joint < joints_; ++joint) {
     const auto j = static_cast<std::size_t>(joint);
-    rows[j] = columns_.row(joint, tau_ext_[j]);
+    rows[j] = columns_.row(joint, tau_ext_[j] / factor_[j]);
     worth[j] = counts_[j] * standstill_.worth(joint);
   }
   const auto n = static_cast<std::size_t>(joints_);

@@ -73,6 +73,7 @@ class Weighing {
   LoadSettings loads_;
   bool has_sigma_;
   JointVector counts_{};  // 1 where a joint answers in N m, else 0: it weighs nothing
+  JointVector factor_{};  // of the torque of a load, by the known weight
   Limits limits_;
   LoadColumns columns_;
   LoadSums sums_;

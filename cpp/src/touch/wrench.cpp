@@ -280,13 +280,11 @@ void WrenchModel::covariance(WrenchKind kind, std::span<const double> tau_ext, s
                              std::span<const double> contact_sigma_nm, std::span<double> into) const noexcept {
   const auto n = links_.size();
   const double radius = settings_.radius[static_cast<std::size_t>(kind)];
-  const double common = settings_.common_share * settings_.common_share;
   const bool together = !settings_.correlation.empty();
   for (std::size_t i = 0; i < n; ++i)
     for (std::size_t j = 0; j < n; ++j) {
       const double alike = together ? settings_.correlation[i * n + j] : (i == j ? 1.0 : 0.0);
-      const double own = i == j ? settings_.own_share(i) : 0.0, of_constants = common + own * own;
-      into[i * n + j] = radius * sigma_nm[i] * sigma_nm[j] * alike + of_constants * tau_ext[i] * tau_ext[j];
+      into[i * n + j] = radius * sigma_nm[i] * sigma_nm[j] * alike + settings_.constants_covariance(i, j) * tau_ext[i] * tau_ext[j];
     }
   for (std::size_t i = 0; i < contact_sigma_nm.size(); ++i)
     into[i * n + i] += of_contact(settings_, i, tau_ext[i], sigma_nm[i], contact_sigma_nm[i]);
@@ -298,6 +296,7 @@ void WrenchModel::take_off_rubbing(WrenchKind kind, std::span<const double> q, s
   constexpr std::array<double, kMaxJoints> still{};
   std::array<double, kMaxJoints> taken{};
   const auto n = links_.size();
+  for (std::size_t j = 0; j < n; ++j) tau_ext[j] /= settings_.factor(j);
   if (!dq.empty()) {
     std::array<double, kMaxJoints> momentum, weight;
     tree_.momentum(q, std::span(still).first(n), std::span(momentum).first(n), std::span(weight).first(n));

@@ -56,13 +56,21 @@ from unseen.surfaces import (
 from tauext import _core
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
-from tauext.monitor.touch_place import INCONSISTENT, STATED, PlaceChange, PlaceFinder, run_of
+from tauext.monitor.touch_place import (
+    INCONSISTENT,
+    STATED,
+    PlaceChange,
+    PlaceFinder,
+    find_places,
+    run_of,
+    straight_touches,
+)
 from tauext.robot.capsules import Ends, body_capsules, even_directions, link_capsules
 from tauext.robot.frames import wrench_frames
 from tauext.robot.mesh_files import MeshFinder
 from tauext.robot.read import load_tree, placed_bodies, read_robot
 
-GIVEN, GUESSED, THIN, MESHES, FITTED = "given", "guessed", "5 cm capsules", "meshes", "fitted"
+GIVEN, GUESSED, MESHES, FITTED = "given", "guessed", "meshes", "fitted"
 Shapes = dict[str, list[_core.Capsule]]
 """What a bundle may know of an arm's surface; GUESSED: nothing."""
 
@@ -80,13 +88,13 @@ def ready(models: Path, unseen: Path, out: Path, name: str) -> Arm:
     """With a bundle of recipe prior, trained where there is none."""
     maker = makers(models)[name]
     bundle = _core.Bundle.load(str(trained(unseen / name / "urdf", out / f"{name}.tauext")))
-    shapes = {GIVEN: capsules_of(SURFACES[name]), GUESSED: [], THIN: thin_capsules(bundle)}
+    shapes = {GIVEN: capsules_of(SURFACES[name]), GUESSED: []}
     return Arm(maker, bundle, name, SURFACES[name], shapes)
 
 
 def meshed(arm: Arm, model: Path) -> Arm:
     """The arm with the meshes of this robot file for surfaces, and the capsules that an import fits to them."""
-    shapes = {MESHES: mesh_capsules(model, list(arm.maker.joints)), GUESSED: [], THIN: arm.shapes[THIN]}
+    shapes = {MESHES: mesh_capsules(model, list(arm.maker.joints)), GUESSED: []}
     return replace(arm, title=f"{arm.title}, meshes", surface=triangles_of(model, arm.maker.joints), shapes=shapes)
 
 
@@ -94,21 +102,6 @@ def mesh_capsules(model: Path, joints: list[str]) -> list[_core.Capsule]:
     capsules, lost = link_capsules(model, load_tree(model, joints))
     assert not lost, lost
     return capsules
-
-
-def thin_capsules(bundle: _core.Bundle) -> list[_core.Capsule]:
-    """A guess without a spread, to compare with: capsules of 5 cm from each joint to the joints that it carries, else
-    to the load frame, else to the farthest frame that the robot file fixes to the link."""
-    found, origin = [], [0.0, 0.0, 0.0]
-    for number in range(bundle.joints):
-        ends = [link.translation for link in bundle.links if link.parent == number]
-        if not ends and bundle.load_settings.link == number:
-            ends = [bundle.load_settings.translation]
-        if not ends:
-            fixed = [frame.translation for frame in bundle.wrench_settings.frames if frame.link == number]
-            ends = [max([origin, *fixed], key=np.linalg.norm)]
-        found += [_core.Capsule(number, origin, end, 0.05) for end in ends]
-    return found
 
 
 # --- Touches on every link of a simulated arm, and what the monitor reports of them.
@@ -299,13 +292,13 @@ class TouchableArm:
             return Pressed(part.link, q, point, force, turned[self._dofs])
 
 
-def pressed(arm: Arm, options: argparse.Namespace, by_area: bool) -> list[dict]:
-    """One row a touch that raises an alarm and kind of shapes, with what is found from its torques.
+AREA, LINK, STRAIGHT = DRAWS = ("area", "link", "straight")
+"""Each point of the arm is as likely; each link is; pushes through a wrist's centre that load the first joint alone."""
 
-    Args:
-        by_area: each point of the arm is as likely; else each link.
-    """
-    rng = np.random.default_rng([options.seed, 67, arm.bundle.joints, by_area])
+
+def pressed(arm: Arm, options: argparse.Namespace, drawn: str) -> list[dict]:
+    """One row a touch that raises an alarm and kind of shapes, with what is found from its torques."""
+    rng = np.random.default_rng([options.seed, 67, arm.bundle.joints, DRAWS.index(drawn)])
     bundle = arm.bundle
     sigma = np.array(bundle.error_scale.sigma_weights)
     touchable, models = TouchableArm(arm.maker, arm.surface), {}
@@ -318,8 +311,8 @@ def pressed(arm: Arm, options: argparse.Namespace, by_area: bool) -> list[dict]:
         if number % TOUCHES_AN_ARM == 0:
             constants = 1 + CONSTANTS * rng.standard_normal(bundle.joints)
         while True:
-            link = None if by_area else int(rng.integers(bundle.joints))
-            touch = touchable.touch(rng, link)
+            link = int(rng.integers(bundle.joints)) if drawn == LINK else None
+            touch = straight_push(arm, rng) if drawn == STRAIGHT else touchable.touch(rng, link)
             share = constants * (1 - rng.uniform(0, ABSORBED, bundle.joints))
             wrong = sigma * rng.standard_t(6, bundle.joints) * np.sqrt(4 / 6)
             tau = share * touch.torque_nm + wrong
@@ -327,20 +320,37 @@ def pressed(arm: Arm, options: argparse.Namespace, by_area: bool) -> list[dict]:
                 break
         in_contact = np.sqrt(sigma**2 + (CONSTANTS**2 + ABSORBED**2 / 3) * tau**2)
         for shapes, model in models.items():
-            found = model.find(touch.q.tolist(), tau.tolist(), sigma.tolist(), in_contact.tolist())
+            at = [one.tolist() for one in (touch.q, tau, sigma, in_contact)]
+            sample = at[0], at[1], at[2], at[3], [0.0] * bundle.joints
+            found = find_places(model, sample)
             known = found.best is not None and found.consistent >= INCONSISTENT
-            row = {"arm": arm.title, "shapes": shapes, "by_area": by_area, "link": touch.link, "seen": known}
+            row = {"arm": arm.title, "shapes": shapes, "drawn": drawn, "link": touch.link, "seen": known}
             if known:
+                (straight, least_n), (low_n, high_n) = straight_touches(model, sample, found), found.force_interval_n
                 row |= {
                     "probability": list(found.probability),
+                    "straight": straight,
                     "force_n": float(np.linalg.norm(touch.force_n)),
                     "median_n": found.force_n,
-                    "interval_n": list(found.force_interval_n),
+                    "interval_n": [min(low_n, least_n), high_n],
                     "off_m": float(np.linalg.norm(np.subtract(found.best.point, touch.point_m))),
                     "within_m": found.within_m,
                 }
             rows.append(row)
     return rows
+
+
+def straight_push(arm: Arm, rng: np.random.Generator) -> Pressed:
+    """A push at a wrist's joint, along the direction that loads the first joint alone, to half a standard error."""
+    model, sigma, n = _core.WrenchModel(arm.bundle), np.array(arm.bundle.error_scale.sigma_weights), arm.bundle.joints
+    while True:
+        q, link = rng.uniform(arm.maker.low_rad, arm.maker.high_rad), int(rng.integers(n - 3, n))
+        name = arm.bundle.links[link].joint_name
+        columns = model.columns(name, q.tolist(), axes=_core.WrenchAxes.base)[:3]
+        along = np.linalg.svd((columns[:, 1:] / sigma[1:]).T)[2][-1]
+        force = np.exp(rng.uniform(*np.log(PRESSED_N))) * along
+        if (np.abs(force @ columns)[1:] < 0.5 * sigma[1:]).all():
+            return Pressed(link, q, model.pose(name, q.tolist())[1], force, force @ columns)
 
 
 def at_rest(maker: Maker, robot: Path | None) -> Arm:
@@ -364,16 +374,17 @@ def pressed_tables(rows: list[dict]) -> list[str]:
     """By how touches are drawn, arm and shapes."""
     lines = head(
         "drawn by | arm | shapes | touches | explained | runs: links | stated | right | 85 to 95 %: stated | right "
-        "| force in interval | within factor 2 | high by low | place within | distance, cm: stated | true"
+        "| straight: named | link named | force in interval | within factor 2 | high by low | place within "
+        "| distance, cm: stated | true"
     )
-    for by_area in (True, False):
+    for drawn in DRAWS:
         arms = [*dict.fromkeys(row["arm"] for row in rows), "**all**"]
         for arm in arms:
             for shapes in dict.fromkeys(row["shapes"] for row in rows):
-                of = [row for row in rows if row["by_area"] == by_area and row["shapes"] == shapes]
+                of = [row for row in rows if row["drawn"] == drawn and row["shapes"] == shapes]
                 of = [row for row in of if arm in (row["arm"], "**all**")]
                 if of:
-                    lines.append(table_row("area" if by_area else "link", arm, shapes, *pressed_cells(of)))
+                    lines.append(table_row(drawn, arm, shapes, *pressed_cells(of)))
     return lines
 
 
@@ -386,9 +397,12 @@ def pressed_cells(rows: list[dict]) -> list[object]:
     )
     off, within = (np.array([row[key] for row in seen]) for key in ("off_m", "within_m"))
     ratio = np.maximum(median / force, force / median)
+    also = np.array([row["link"] in row["straight"] for row in seen])
     shares = (
         *stated.mean(axis=0)[1:],
         *(unsure.mean(axis=0)[1:] if len(unsure) else (np.nan, np.nan)),
+        np.mean([bool(row["straight"]) for row in seen]),
+        np.mean(also | (stated[:, 2] > 0)),
         np.mean((low <= force) & (force <= high)),
         np.mean(ratio < 2),
     )
@@ -409,10 +423,10 @@ def reliability(rows: list[dict]) -> Figure:
     """Share of runs of neighbouring links, of any length, that are right, over their stated probability; by shapes."""
     figure, axes = plt.subplots(1, 2, figsize=(9, 4.4), sharex=True, sharey=True, layout="constrained")
     edges = np.array([0, 0.05, 0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.95, 1.0])
-    for axis, by_area in zip(axes, (True, False), strict=True):
+    for axis, drawn in zip(axes, (AREA, LINK), strict=True):
         axis.plot([0, 1], [0, 1], color="0.7", linewidth=1, label="calibrated")
         for shapes, mark in ((GIVEN, "o"), (FITTED, "s"), (GUESSED, "^")):
-            of = [row for row in rows if row["seen"] and row["by_area"] == by_area and row["shapes"] == shapes]
+            of = [row for row in rows if row["seen"] and row["drawn"] == drawn and row["shapes"] == shapes]
             if not of:
                 continue
             stated, right = np.concatenate([runs_of(row["probability"], row["link"]) for row in of], axis=1)
@@ -420,7 +434,9 @@ def reliability(rows: list[dict]) -> Figure:
             kept = [k for k in range(len(edges) - 1) if np.count_nonzero(at == k) >= 30]
             points = np.array([(stated[at == k].mean(), right[at == k].mean()) for k in kept])
             axis.plot(*points.T, mark, linestyle="-", markersize=5, label=f"{shapes}: {len(of)} touches")
-        axis.set(title=f"each {'point' if by_area else 'link'} as often", xlabel="stated probability", aspect="equal")
+        axis.set(
+            title=f"each {'point' if drawn == AREA else 'link'} as often", xlabel="stated probability", aspect="equal"
+        )
         axis.legend(loc="upper left", fontsize=8)
     axes[0].set_ylabel("share that is right")
     return figure
@@ -443,7 +459,7 @@ TOUCHED = {"a4": 7, "a6": 7, "b8": 6, "b9": 6, "c3": 5, "d3": 4, "f2": 2, "f4": 
 def panda_rows(data: Path, bundles: Path, robot: Path | None) -> list[dict]:
     """One row a touch, estimate and kind of shapes."""
     arm = _core.Bundle.load(str(bundles / "observer.tauext"))
-    shapes = {GIVEN: capsules_of(SURFACES["panda"]), GUESSED: [], THIN: thin_capsules(arm)}
+    shapes = {GIVEN: capsules_of(SURFACES["panda"]), GUESSED: []}
     if robot is not None:
         shapes[MESHES] = mesh_capsules(robot, [link.joint_name for link in arm.links])
     recordings = {name: load_recording(data / f"{name}.parquet") for name in TOUCHED}
@@ -494,7 +510,7 @@ def free_rows(recording: Recording) -> np.ndarray:
     return ~near
 
 
-COLUMNS = "touches | alarms | right | among two | stated | of these right | link or run | of these right"
+COLUMNS = "touches | alarms | right | among two | stated | of these right | runs: links | right"
 
 
 def cells(rows: list[dict]) -> list[object]:
@@ -504,13 +520,11 @@ def cells(rows: list[dict]) -> list[object]:
     right = np.array([order[0] == row["link"] for order, row in zip(ranked, seen, strict=True)])
     two = np.mean([row["link"] in order[:2] for order, row in zip(ranked, seen, strict=True)])
     sure = np.array([max(row["probability"]) >= STATED for row in seen])
-    held = []
-    for order, row in zip(ranked, seen, strict=True):
-        first, last, share = run_of([(k, row["probability"][k]) for k in order])
-        held += [first <= row["link"] <= last] * (share >= STATED)
-    of_sure, of_held = (np.mean(one) if len(one) else np.nan for one in (right[sure], held))
-    shares = (right.mean(), two, sure.mean(), of_sure, len(held) / len(seen), of_held)
-    return [len(rows), len(seen), *(f"{share:.0%}" for share in shares)]
+    stated = np.array([statement(row["probability"], row["link"]) for row in seen])
+    of_sure = np.mean(right[sure]) if sure.any() else np.nan
+    shares = (right.mean(), two, sure.mean(), of_sure)
+    cells = (f"{share:.0%}" for share in shares)
+    return [len(rows), len(seen), *cells, f"{stated[:, 0].mean():.1f}", f"{stated[:, 2].mean():.0%}"]
 
 
 def tables(rows: list[dict]) -> list[str]:
@@ -567,8 +581,6 @@ def misfit(corners: np.ndarray, capsules: Sequence[Ends], drawn: int = 3000) -> 
     off = np.min([distance_m(points, *one) for one in capsules], axis=0)
     return {
         "capsules": len(capsules),
-        "mesh_m": float(np.linalg.norm(whole, axis=1).max()),
-        "shape_m": float(max(np.linalg.norm(end) + one[2] for one in capsules for end in one[:2])),
         "ends_outside_m": float(max((reach - hull).max(), 0)),
         "surface_outside_m": float(max((reach + radius - hull).max(), 0)),
         "mesh_outside_m": float(max(off.max(), 0)),
@@ -583,8 +595,8 @@ def distance_m(points: np.ndarray, start: list[float], end: list[float], radius:
     return np.linalg.norm(points - start - along[:, None] * way, axis=1) - radius
 
 
-def shape_tables(rows: list[dict], worst: int = 8) -> list[str]:
-    """By robot, then the links whose capsules are farthest outside."""
+def shape_tables(rows: list[dict]) -> list[str]:
+    """By robot."""
     lines = head(
         "robot | links | guessed | capsules | ends outside, cm | surface outside, cm | mesh outside, cm | RMS, cm"
     )
@@ -594,11 +606,6 @@ def shape_tables(rows: list[dict], worst: int = 8) -> list[str]:
         seen = [row for row in of if "guessed" not in row]
         largest = [f"{100 * max((row[key] for row in seen), default=np.nan):.1f}" for key in keys]
         lines.append(table_row(robot, len(of), len(of) - len(seen), sum(row["capsules"] for row in seen), *largest))
-    lines += ["", *head("robot, link | mesh ends, cm | shape ends, cm | surface outside, cm | mesh outside, cm")]
-    seen = [row for row in rows if "guessed" not in row]
-    for row in sorted(seen, key=lambda row: -row["surface_outside_m"])[:worst]:
-        numbers = (f"{100 * row[key]:.1f}" for key in ("mesh_m", "shape_m", *keys[1:3]))
-        lines.append(table_row(f"{row['robot']}, {row['link']}", *numbers))
     return lines
 
 
@@ -607,6 +614,7 @@ def main() -> None:
     parser.add_argument("--meshes", nargs="+", default=[], help="robot files with meshes, each as ARM=FILE")
     parser.add_argument("--touches", type=int, default=200, help="an arm")
     parser.add_argument("--pressed", action="store_true", help="touches in MuJoCo alone")
+    parser.add_argument("--drawn", nargs="+", choices=DRAWS, default=list(DRAWS), help="how these are drawn")
     parser.add_argument("--panda", type=Path, nargs=2, metavar=("DATASET", "BUNDLES"), help="the Panda at rest alone")
     parser.add_argument("--shapes", type=Path, nargs="+", metavar="ROBOT", help="robot files with meshes, alone")
     options = parser.parse_args()
@@ -619,7 +627,7 @@ def main() -> None:
         known = makers(options.models)
         of = [at_rest(known[name], None) for name in options.arms]
         of += [at_rest(known[name], robot) for name, robot in robots.items()]
-        rows = [row for arm in of for by_area in (True, False) for row in pressed(arm, options, by_area)]
+        rows = [row for arm in of for drawn in options.drawn for row in pressed(arm, options, drawn)]
         write_tables(options.out, pressed_tables(rows), short(rows), "pressed")
         reliability(rows).savefig(options.out / "reliability.png", dpi=110)
         return

@@ -4,8 +4,8 @@
 
 Each arm is trained on nine minutes without a load, with constants of its currents that are true, and again with ones
 off by up to 10 %. Then it moves with 25 loads of 0.5 to 3 kg within 10 cm of its last joint's origin, two windows of 4
-s each; with a weight of 2.805 kg that is known; and with a constant force on its last link. OUT/loads.md and
-OUT/loads.json get the tables. What is there is used again.
+s each; with weights of 2.805 and 1.6 kg that are known, 40 s each; and with a constant force on its last link.
+OUT/loads.md and OUT/loads.json get the tables. What is there is used again.
 """
 
 from __future__ import annotations
@@ -62,10 +62,9 @@ def main() -> None:
             bundle = trained(data, folder / f"{kind}.tauext", *KINDS[kind], *stated)
             outcomes += weigh(data, kind, bundle, maker, takes)
         if name not in options.true_only:
-            factors[name] = correct(folder, maker, options.seed)
-            for kind in ("common", "joints"):
-                if (bundle := folder / f"off-{kind}.tauext").exists():
-                    outcomes += weigh(folder / "data-off", f"off, {kind}", bundle, maker, takes)
+            factors[name], bundles = correct(folder, maker, options.seed)
+            for kind, bundle in bundles.items():
+                outcomes += weigh(folder / "data-off", f"off, {kind}", bundle, maker, takes)
     facts = {kind: figures([w for w in outcomes if w.kind == kind]) for kind in dict.fromkeys(w.kind for w in outcomes)}
     write_tables(options.out, tables(facts, factors), {"weighed": facts, "factors": factors}, "loads")
 
@@ -80,7 +79,7 @@ def weigh(data: Path, label: str, path: Path, maker: Maker, takes: dict[str, Car
     bundle, outcomes = load_bundle(path), []
     frame = load_frame(bundle, maker.joints[-1])
     for name, truth in takes.items():
-        if name == "known":
+        if name in KNOWN_KG:
             continue
         seen = see(bundle, load_recording(data / f"{name}.parquet"))
         for k in range(WINDOWS):
@@ -92,39 +91,43 @@ def weigh(data: Path, label: str, path: Path, maker: Maker, takes: dict[str, Car
                 outcomes.append(Weighed(*one, "refused"))
                 continue
             off, error = (float(np.linalg.norm(v)) for v in (found.com_m - truth.com_m, found.com_error_m))
-            outcomes.append(Weighed(*one, found.verdict, found.mass_kg, mass_error(found), off, error))
+            stated = found.mass_kg, mass_error(found), off, error, found.constants_error_kg
+            outcomes.append(Weighed(*one, found.verdict, *stated))
     return outcomes
 
 
-def correct(folder: Path, maker: Maker, seed: int) -> dict:
-    """The known weight on the arm whose constants are off: the common factor put into the bundle, and those of every
-    joint into a new training."""
-    bundle = load_bundle(folder / "off.tauext")
-    recording = load_recording(folder / "data-off" / "known.parquet")
+def correct(folder: Path, maker: Maker, seed: int) -> tuple[dict, dict[str, Path]]:
+    """The bundle whose constants are off after each known weight: the factors found, and the bundles by the weight."""
+    bundle, path = load_bundle(folder / "off.tauext"), folder / "off.tauext"
     constants = np.array(bundle.observer.nm_per_unit or np.ones(bundle.joints))
     facts: dict = {"left": (1 / (wrong_constants(maker, seed) * constants)).tolist()}
-    try:
-        known = weigh_constants(bundle, load_frame(bundle, maker.joints[-1]), [see(bundle, recording)], KNOWN_KG)
-    except TauextError as error:
-        return facts | {"refused": str(error)}
-    corrected_bundle(bundle, known).save(str(folder / "off-common.tauext"))
-    told = (constants * known.factors).tolist()
-    constants_told = ["--torque-constants", *(f"{k:.6g}" for k in told)]
-    trained(folder / "data-off", folder / "off-joints.tauext", *constants_told)
-    return facts | {
-        "common": known.common,
-        "common_error": known.common_error,
-        "joints": known.factors.tolist(),
-        "errors": known.errors.tolist(),
-        "shows": known.shows,
-    }
+    bundles = {}
+    for name, kg in KNOWN_KG.items():
+        motion = see(bundle, load_recording(folder / "data-off" / f"{name}.parquet"))
+        try:
+            known = weigh_constants(bundle, load_frame(bundle, maker.joints[-1]), [motion], kg)
+        except TauextError as error:
+            return facts | {"refused": str(error)}, bundles
+        bundle = corrected_bundle(bundle, known)
+        path = folder / f"off-{name}.tauext"
+        bundle.save(str(path))
+        bundles[name] = path
+        told, settings = np.array(bundle.observer.nm_per_unit), bundle.wrench_settings
+        facts[name] = {
+            "common": float(np.median(told / constants)),
+            "common_error": known.common_error,
+            "joints": (told / settings.torque_factor / constants).tolist(),
+            "errors": known.errors.tolist(),
+            "shows": known.shows,
+        }
+    return facts, bundles
 
 
 TITLES = {
     "true": "true constants",
     "off": "off by up to 10 %, as trained",
-    "off, common": "then `--known-kg`, one factor",
-    "off, joints": "then retrained with `--torque-constants`",
+    "off, known": "then a known weight",
+    "off, known-2": "then a second known weight",
 }
 
 
@@ -140,6 +143,7 @@ class Weighed:
     mass_error_kg: float = np.nan
     off_m: float = np.nan
     com_error_m: float = np.nan
+    constants_error_kg: float = np.nan
 
     @property
     def within(self) -> tuple[float, float]:
@@ -184,32 +188,44 @@ def row(of: Sequence[Weighed]) -> dict:
         "com_where_told": float(where[1].mean()) if len(where[1]) else None,
         "mass_bias": float(np.median(share)),
         "mass_spread": float(np.quantile(np.abs(share - np.median(share)), 0.68)),
+        "mass_rms": rms(share),
+        "mass_rms_stated": rms([w.mass_error_kg / w.truth.mass_kg for w in seen]),
+        "constants_rms_stated": rms([w.constants_error_kg / w.truth.mass_kg for w in seen]),
         "within_2_errors": float(np.mean(np.abs(off) <= 2 * np.array([w.mass_error_kg for w in seen]))),
         "verdicts": dict(Counter(w.verdict for w in loads)),
         "pushes": dict(Counter(w.verdict for w in of if w.truth.push_n > 0)),
     }
 
 
+def rms(values: Sequence[float] | np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
 def tables(facts: dict, factors: dict[str, dict]) -> list[str]:
     """Masses and centres, verdicts, factors found with a known weight beside the true ones."""
     lines = head(
         "constants | arm | windows | mass | centre | both | mass certain | mass right where certain | centre certain "
-        "| centre right where certain | mass error, median (68 %) | mass within two standard errors | loads | forces"
+        "| centre right where certain | mass error, median (68 %) | RMS | stated | of it constants "
+        "| mass within two standard errors | loads | forces"
     )
     keys = ("mass", "com", "both", "mass_told", "mass_where_told", "com_told", "com_where_told")
     for kind, arms in facts.items():
         for arm, f in arms.items():
             shares = ["–" if f[key] is None else f"{f[key]:.1%}" for key in keys]
-            off = [f"{f['mass_bias']:+.1%} (± {f['mass_spread']:.1%})", f"{f['within_2_errors']:.0%}"]
+            off = [f"{f['mass_bias']:+.1%} (± {f['mass_spread']:.1%})"]
+            off += [f"{f[key]:.1%}" for key in ("mass_rms", "mass_rms_stated", "constants_rms_stated")]
+            off += [f"{f['within_2_errors']:.0%}"]
             counts = (", ".join(f"{n} {v}" for v, n in sorted(f[key].items())) for key in ("verdicts", "pushes"))
             lines.append(table_row(TITLES[kind], arm, f["windows"], *shares, *off, *counts))
-    lines += ["", *head("arm | true | one factor | joint by joint (in brackets: the common factor)")]
+    lines += ["", *head("arm | constants off by, joint by joint | after one known weight | after two")]
     for arm, f in factors.items():
-        cells = [f"refused: {f['refused']}", ""] if "refused" in f else [
-            f"{f['common']:.3f} ± {f['common_error']:.3f}",
-            " · ".join(f"{x:.3f}" if s else f"({x:.3f})" for x, s in zip(f["joints"], f["shows"], strict=True)),
-        ]  # fmt: skip
-        lines.append(table_row(arm, joined(f["left"], ".3f"), *cells))
+        found = [
+            " · ".join(f"{x:.3f} ± {e:.3f}" for x, e in zip(f[name]["joints"], f[name]["errors"], strict=True))
+            if name in f
+            else f"refused: {f['refused']}"
+            for name in KNOWN_KG
+        ]
+        lines.append(table_row(arm, joined(f["left"], ".3f"), *found))
     return lines
 
 

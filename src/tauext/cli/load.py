@@ -88,8 +88,9 @@ def known_sentences(
     elif not one_factor(known):
         given = " ".join(f"{constant:.5g}" for constant in constants)
         lines.append(
-            "the factors differ by more than their standard errors, which leave out that the bundle was trained with "
-            f"wrong constants; a bundle takes one factor. To correct each joint, train with --torque-constants {given}"
+            "the factors differ by more than their standard errors: with --out, loads and forces take each joint's, "
+            "the arm's own masses and limits the common one. To correct these too, train with "
+            f"--torque-constants {given}"
         )
     return lines
 
@@ -187,7 +188,7 @@ def weigh(bundle: Bundle, where: NamedFrame, parts: list[WeighedMotion], reach_m
     alone = each_window(bundle, where, parts, found) if found.verdict == "load" else []
     unit = bundle.estimate_units[int(weighing_joints(bundle).argmax())]
     left_out = not_used(bundle)
-    errors = constants_errors(bundle, where, parts, found) if found.verdict == "load" and found.mass_seen else {}
+    errors = constants_errors(bundle, found) if found.verdict == "load" and found.mass_seen else {}
     if as_json:
         windows = [{"recording": name, "from_s": start} | found_facts(own) for name, start, own in alone]
         facts = {"frame": where.name, "unit": unit, "left_out": left_out} | found_facts(found)
@@ -196,7 +197,7 @@ def weigh(bundle: Bundle, where: NamedFrame, parts: list[WeighedMotion], reach_m
         return
     for line in load_sentences(found, where.name, unit):
         print(line)
-    if errors and (cause := constants_sentence(bundle, found, errors)):
+    if errors and (cause := constants_sentence(found, errors)):
         print(cause)
     if left_out:
         print(f"not used: {', '.join(left_out)}, whose torque constants are not known")

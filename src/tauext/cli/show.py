@@ -174,23 +174,17 @@ def describe_bundle(file: Path) -> Content:
     return content
 
 
-def describe_shapes(bundle: Bundle, names: list[str], notes: Sequence[str], beyond_m: float = 1.0) -> Content:
-    """Which links have capsules, which are guessed and why, and which have capsules that no link of this arm has.
+def describe_shapes(bundle: Bundle, names: list[str], notes: Sequence[str]) -> Content:
+    """Which links have capsules, and which are guessed and why.
 
     Args:
         notes: notes of the training on shapes that could not be read.
-        beyond_m: no shape reaches farther from its joint than all joints' distances and this together, [m].
     """
     links = sorted({one.link for one in bundle.capsules})
     guessed = [name for number, name in enumerate(names) if number not in links]
     content: Content = {"capsules": len(bundle.capsules), "links": len(links), "guessed": guessed}
     if guessed:
         content["why_guessed"] = notes[0] if notes else "the robot file has no geometry for them"
-    most = beyond_m + sum(math.hypot(*link.translation) for link in bundle.links)
-    reach = {one.link for one in bundle.capsules if max(math.hypot(*one.start), math.hypot(*one.end)) > most}
-    if reach and not any(link.type.name == "prismatic" for link in bundle.links):  # a rail is as long as its travel
-        far = ", ".join(names[link] for link in sorted(reach))
-        content["too_far"] = f"{far} by more than {most:.2g} m from the joint: import the data and train again"
     return content
 
 

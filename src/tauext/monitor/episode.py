@@ -106,9 +106,10 @@ class Episode:
 
 
 def links_at(place: PlaceChange, joints: tuple[str, ...]) -> str:
-    """`joint2, joint3 or joint4`: the joints that carry the links of the stated run."""
+    """`joint2, joint3 or joint4`: the joints that carry the stated links."""
     first, last, _ = run_of(place.links)
-    return " or ".join([", ".join(joints[first:last])] * (last > first) + [joints[last]])
+    names = [*joints[first : last + 1], *(joints[link] for link in place.straight)]
+    return " or ".join([", ".join(names[:-1])] * (len(names) > 1) + names[-1:])
 
 
 class EpisodeFinder:

@@ -17,7 +17,7 @@ from tauext.errors import RecordingError
 from tauext.monitor.changes import Change, TouchChange
 from tauext.monitor.flight_content import Flight, FlightSource, as_recording, carried, event_kind
 from tauext.monitor.loads import load_words
-from tauext.monitor.touch_place import PlaceChange, strongest_place
+from tauext.monitor.touch_place import PlaceChange, strongest_sample
 from tauext.monitor.weighing import WeighedMotion, identify, load_frame, mass_error, mass_words
 
 # --- Meaning and remedy of each cause of bad health.
@@ -168,8 +168,11 @@ def place_of_touch(flight: Flight, source: FlightSource) -> str:
         return ""
     signals = (flight[name][row:] for name in ("sigma_nm", "contact_sigma_nm"))
     q, dq, tau_ext = flight["q"][row:], flight["dq"][row:], unexplained(flight)[row:]
-    found = strongest_place(PlaceModel(source.bundle), q, dq, tau_ext, *signals)
-    change = PlaceChange.of(found, row, int(event.t_ns), event.alarm.value, event.alarm_joint, 0.0)
+    model = PlaceModel(source.bundle)
+    if model.refused:
+        return ""
+    sample = strongest_sample(q, dq, tau_ext, *signals)
+    change = PlaceChange.of(model, sample, row, int(event.t_ns), event.alarm.value, event.alarm_joint, 0.0)
     return "" if change is None else sentence(change, source.joints)
 
 

@@ -141,11 +141,15 @@ class PlaceChange(Change):
     """The force if it acts at the named frame."""
     number: int = 0
     """Number of the alarm."""
+    straight: tuple[int, ...] = ()
+    """Links farther out, if a smaller force there, straight through the axes between, causes the same torques; the
+    interval contains it."""
 
     @classmethod
     def of(
         cls,
-        found: TouchPlaces | None,
+        model: PlaceModel,
+        sample: Sample,
         row: int,
         t_ns: int,
         alarm: int,
@@ -153,11 +157,13 @@ class PlaceChange(Change):
         since_s: float,
         force: FrameForce | None = None,
     ) -> PlaceChange | None:
-        """Make the change for these places; None if there are none."""
-        if found is None or found.best is None:
+        """Make the change for what the model finds at this sample; None if it finds no place."""
+        found = find_places(model, sample)
+        if found.best is None:
             return None
         links = tuple((link, found.probability[link]) for link in found.ranked)
         low_n, high_n = found.force_interval_n
+        straight, least_n = straight_touches(model, sample, found)
         return cls(
             row,
             t_ns,
@@ -169,9 +175,10 @@ class PlaceChange(Change):
             found.best,
             found.within_m,
             found.force_n,
-            (low_n, high_n),
+            (min(low_n, least_n), high_n),
             found.consistent,
             force,
+            straight=straight,
         )
 
     event = "place"
@@ -187,8 +194,11 @@ class PlaceChange(Change):
         return self.consistent >= INCONSISTENT
 
     def on(self, joints: tuple[str, ...]) -> str:
-        """`the link of elbow`."""
-        return links_words(self.links, joints, self.guessed)
+        """`the link of elbow`, `the link of elbow, or straight through the axes on the link of wrist_1`."""
+        on = links_words(self.links, joints, self.guessed)
+        if not self.straight:
+            return on
+        return f"{on}, or straight through the axes on {name_of(min(self.straight), max(self.straight), joints)}"
 
     def words(self, joints: tuple[str, ...], units: Sequence[str] = ()) -> list[str]:
         """`the touch is on the link of elbow: 26 to 42 N within 6 cm of (0.31, -0.20, 0.55) m`."""
@@ -199,7 +209,7 @@ class PlaceChange(Change):
 
     def _around(self) -> str:
         """` within 6 cm of (0.31, -0.20, 0.55) m`, with the digits that the distance supports; empty if it is vague."""
-        if self.within_m > VAGUE_M:
+        if self.within_m > VAGUE_M or self.straight:
             return ""
         digits, step_cm = (2, 1) if self.within_m < 0.1 else (1, 5)
         where = ", ".join(f"{value:.{digits}f}" for value in self.best.point)
@@ -234,6 +244,7 @@ class PlaceChange(Change):
             "newtons_interval": list(self.interval_n),
             "consistent": self.consistent,
             "shapes_guessed": self.guessed,
+            "straight_links": [joints[link] for link in self.straight],
         }
 
     @property
@@ -255,21 +266,47 @@ def strength(tau_ext: np.ndarray, sigma_nm: np.ndarray) -> np.ndarray:
         return np.nan_to_num(np.square(tau_ext / sigma_nm).sum(axis=1), nan=0.0, posinf=0.0)
 
 
-def strongest_place(
-    model: PlaceModel,
-    q: np.ndarray,
-    dq: np.ndarray,
-    tau_ext: np.ndarray,
-    sigma_nm: np.ndarray,
-    contact_sigma_nm: np.ndarray,
-) -> TouchPlaces | None:
-    """Places at the sample with the largest strength(), from arrays (samples, joints); None if none are found."""
-    if model.refused:
-        return None
+Sample = tuple[list[float], list[float], list[float], list[float], list[float]]
+"""q, tau_ext, sigma_nm, contact_sigma_nm and dq of a sample."""
+
+
+def find_places(model: PlaceModel, sample: Sample, link: int | None = None) -> TouchPlaces:
+    """Places of a touch; link: the touched one, if it is known."""
+    q, tau_ext, sigma_nm, contact_sigma_nm, dq = sample
+    return model.find(q, tau_ext, sigma_nm, contact_sigma_nm, link=link, dq=dq)
+
+
+STRAIGHT = 0.3
+"""Probability of the remainder from which on a force explains the torques as well as any."""
+SMALLER = 2 / 3
+"""Share of the stated force below which another one is named."""
+
+
+def straight_touches(model: PlaceModel, sample: Sample, found: TouchPlaces) -> tuple[tuple[int, ...], float]:
+    """Links behind the stated ones, if a clearly smaller force there causes the same torques, and its lower bound.
+
+    A force straight through the axes of a wrist loads the joints before them alone, like a larger one nearer to the
+    base. To the posterior that is a coincidence; people who aim do it.
+    """
+    _, last, _ = run_of([(link, found.probability[link]) for link in found.ranked])
+    farther = tuple(range(last + 1, len(found.probability)))
+    lows = [
+        other.force_interval_n[0]
+        for other in (find_places(model, sample, link) for link in farther)
+        if other.places and other.consistent > STRAIGHT and other.force_n < SMALLER * found.force_n
+    ]
+    return (farther, min(lows)) if lows else ((), math.inf)
+
+
+def strongest_sample(
+    q: np.ndarray, dq: np.ndarray, tau_ext: np.ndarray, sigma_nm: np.ndarray, contact_sigma_nm: np.ndarray
+) -> Sample:
+    """The sample with the largest strength(), from arrays (samples, joints)."""
     row = int(np.argmax(strength(tau_ext, sigma_nm)))
-    at_row = [signal[row].astype(float).tolist() for signal in (q, tau_ext, sigma_nm, contact_sigma_nm)]
-    found = model.find(at_row[0], at_row[1], at_row[2], at_row[3], dq=dq[row].tolist())
-    return None if found.best is None else found
+    at, tau, sigma, contact, speed = (
+        one[row].astype(float).tolist() for one in (q, tau_ext, sigma_nm, contact_sigma_nm, dq)
+    )
+    return at, tau, sigma, contact, speed
 
 
 class PlaceFinder:
@@ -297,7 +334,7 @@ class PlaceFinder:
         self._alarm, self._rose_ns, self._joint = 0, 0, -1
         self._due_ns: int | None = None
         self._strength, self._reported = 0.0, 0.0
-        self._sample: tuple[list[float], ...] | None = None
+        self._sample: Sample | None = None
 
     def stand(self, alarm: int) -> None:
         """This alarm stands from before the first sample on: its place is not estimated again."""
@@ -331,8 +368,9 @@ class PlaceFinder:
                 continue
             if alarm[k] and by_row[k] > self._strength:
                 self._strength = float(by_row[k])
-                signals = (q[k], left[k], estimates["sigma_nm"][k], estimates["contact_sigma_nm"][k], dq[k])
-                self._sample = tuple(one.tolist() for one in signals)
+                at = slice(k, k + 1)
+                errors = estimates["sigma_nm"][at], estimates["contact_sigma_nm"][at]
+                self._sample = strongest_sample(q[at], dq[at], left[at], *errors)
                 if self._at_frame is not None:
                     self._force = self._at_frame.find(q, dq, estimates, k)
             if found := self._judge(first_row + k, int(t_ns[k]), fell, level):
@@ -360,10 +398,8 @@ class PlaceFinder:
             return None
         self._reported = self._strength
         self._due_ns = None if fell else t_ns + self.again_ns
-        q, tau_ext, sigma_nm, contact_sigma_nm, dq = self._sample
-        found = self._model.find(q, tau_ext, sigma_nm, contact_sigma_nm, dq=dq)
         since_s = (t_ns - self._rose_ns) * 1e-9
-        return PlaceChange.of(found, row, t_ns, level, self._joint, since_s, self._force)
+        return PlaceChange.of(self._model, self._sample, row, t_ns, level, self._joint, since_s, self._force)
 
 
 STATED = 0.9
@@ -398,6 +434,15 @@ def run_of(links: Sequence[tuple[int, float]]) -> tuple[int, int, float]:
     return first, first + count - 1, -less
 
 
+def name_of(first: int, last: int, joints: tuple[str, ...]) -> str:
+    """Name neighbouring links by their joints."""
+    if first == last:
+        return f"the link of {joints[first]}"
+    if last == first + 1:
+        return f"the link of {joints[first]} or {joints[last]}"
+    return f"a link from {joints[first]} to {joints[last]}"
+
+
 def links_words(links: Sequence[tuple[int, float]], joints: tuple[str, ...], guessed: bool = False) -> str:
     """Describe links: `the link of elbow`, `a link from lift to wrist_1 (most likely elbow)`.
 
@@ -406,12 +451,7 @@ def links_words(links: Sequence[tuple[int, float]], joints: tuple[str, ...], gue
         guessed: the shape of a link that may be touched is guessed.
     """
     first, last, _ = run_of(links)
-    if first == last:
-        name = f"the link of {joints[first]}"
-    elif last == first + 1:
-        name = f"the link of {joints[first]} or {joints[last]}"
-    else:
-        name = f"a link from {joints[first]} to {joints[last]}"
+    name = name_of(first, last, joints)
     best, probability = links[0]
     rest = [f"most likely {joints[best]}"] * (first != last and probability >= 0.5) + ["shapes guessed"] * guessed
     return f"{name} ({'; '.join(rest)})" if rest else name

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Sequence
@@ -304,36 +303,25 @@ def weighed_words(found: LoadFound, kg: str) -> str:
     )
 
 
-def constants_errors(
-    bundle: _core.Bundle, frame: NamedFrame, parts: Sequence[WeighedMotion], found: LoadFound
-) -> dict[str, float]:
+def constants_errors(bundle: _core.Bundle, found: LoadFound) -> dict[str, float]:
     """Standard error of the mass from each joint's own torque constant, and from the factor common to all, [kg].
 
-    Their root of the sum of squares is `found.constants_error_kg`.
-
-    Args:
-        found: what identify() found of these parts.
+    Before a known weight, their root of the sum of squares is `found.constants_error_kg`. After it the errors of the
+    joints depend on each other; a joint's is then what its exact constant would take off, in squares.
     """
-    given, names = bundle.wrench_settings, [*(link.joint_name for link in bundle.links), COMMON]
-    common, own = given.common_share, [given.own_share(joint) for joint in range(bundle.joints)]
-    stored, errors = list(given.torque_share), {}
-    try:
-        for number, name in enumerate(names):
-            given.common_share = common if name == COMMON else 0.0
-            given.torque_share = [share if joint == number else 0.0 for joint, share in enumerate(own)]
-            bundle.wrench_settings = given
-            one = identify(bundle, frame, parts, found.reach_m, found.phi.tolist())
-            errors[name] = float(one.constants_error_kg)
-    finally:
-        given.common_share, given.torque_share = common, stored
-        bundle.wrench_settings = given
-    return errors
+    given, n = bundle.wrench_settings, bundle.joints
+    own = np.array([given.own_share(joint) for joint in range(n)])
+    alike = np.reshape(given.torque_correlation, (n, n)) if given.torque_correlation else np.eye(n)
+    changes = found.mass_by_constant_kg[:n]
+    errors = np.abs(alike @ (own * changes)).tolist()
+    names = [link.joint_name for link in bundle.links]
+    return dict(zip(names, errors, strict=True)) | {COMMON: abs(given.common_share * float(changes.sum()))}
 
 
 COMMON = "the factor common to all joints"
 
 
-def constants_sentence(bundle: _core.Bundle, found: LoadFound, errors: dict[str, float]) -> str | None:
+def constants_sentence(found: LoadFound, errors: dict[str, float]) -> str | None:
     """Which torque constants make the error of the mass, and what lowers it; None: the motion makes most of it, or the
     mass is 0.
 
@@ -345,20 +333,10 @@ def constants_sentence(bundle: _core.Bundle, found: LoadFound, errors: dict[str,
         return None
     largest = sorted(errors, key=lambda name: -errors[name])[:3]
     shares = ", ".join(f"{name} {100 * errors[name] / mass:.2g} %" for name in largest if errors[name] > 0)
-    words = f"of the {100 * found.constants_error_kg / mass:.2g} % from torque constants: {shares}"
-    known = json.loads(bundle.provenance or "{}").get("known_weight", {}).get("joints", {})
-    first = next((name for name in largest if name != COMMON), COMMON)
-    factor, error = known.get(first, (1.0, math.inf))
-    if largest[0] == COMMON:
-        return f"{words}. A known weight lowers it, in half a minute of motion in which every joint turns"
-    if abs(factor - 1) > 2 * error:
-        return (
-            f"{words}. The known weight found the constant of {first} {100 * (factor - 1):+.1f} ± {100 * error:.1f} % "
-            "off the others; a bundle takes one factor, so only training with --torque-constants corrects it"
-        )
+    first = "every joint turns" if largest[0] == COMMON else f"{largest[0]} turns through its range"
     return (
-        f"{words}. A known weight lowers it, in motion in which {first} turns through its range, with the weight far "
-        "from its axis"
+        f"of the {100 * found.constants_error_kg / mass:.2g} % from torque constants: {shares}. A known weight lowers "
+        f"it, in half a minute of motion in which {first}, with the weight far from its axis"
     )
 
 

@@ -197,10 +197,14 @@ def put_wrench(run: TrainingRun, bundle: Bundle) -> None:
 
 
 def put_shapes(run: TrainingRun, bundle: Bundle) -> None:
-    """Add capsules of the robot file's links to the bundle; links without a shape get estimated capsules on use."""
+    """Add capsules of the robot file's links to the bundle; links without a shape get guessed ones, and a note."""
     bundle.capsules, notes = link_capsules(run.given.robot, run.tree, run.given.meshes)
     shaped = {one.link for one in bundle.capsules}
     guessed = [link.joint_name for number, link in enumerate(bundle.links) if number not in shaped]
     run.facts["shapes"] = {"capsules": len(bundle.capsules), "guessed": guessed, "notes": notes}
-    if notes:
-        run.notes.append(f"the shape of {len(guessed)} of {len(bundle.links)} links is guessed: {notes[0]}")
+    if guessed:
+        bare = "the robot file has no geometry for them; import with the robot file that has the arm's meshes"
+        run.notes.append(
+            f"the shapes of {len(guessed)} of {len(bundle.links)} links are guessed, and so are places of touches on "
+            f"{', '.join(guessed)}: {notes[0] if notes else bare}"
+        )

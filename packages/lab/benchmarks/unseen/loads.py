@@ -19,7 +19,7 @@ FIRST_S = 1.2
 WINDOW_S = 4.0
 WINDOWS = 2
 """Of each load."""
-KNOWN_KG = 2.805
+KNOWN_KG = {"known": 2.805, "known-2": 1.6}
 WARM_S = 400.0
 """How long the arm has run: training covers it."""
 TRAIN = tuple(Take(f"train-{k + 1}", "train", 3, 0, 180.0 * k) for k in range(3))
@@ -39,7 +39,7 @@ class Carried:
 
 
 def carried(maker: Maker, seed: int, loads: int = 25, pushes: int = 8) -> dict[str, Carried]:
-    """By the recording's name: loads of 0.5 to 3 kg within 10 cm, one that is known, and forces of 10 to 40 N."""
+    """By the recording's name: loads of 0.5 to 3 kg within 10 cm, two that are known, and forces of 10 to 40 N."""
     rng = maker.random(seed, 500)
     takes = {}
     for k in range(loads):
@@ -47,11 +47,12 @@ def carried(maker: Maker, seed: int, loads: int = 25, pushes: int = 8) -> dict[s
         takes[f"load-{k:02d}"] = Carried(
             float(rng.uniform(0.5, 3)), tuple(com.tolist()), float(rng.uniform(0.02, 0.06))
         )
-    takes["known"] = Carried(KNOWN_KG, tuple((direction(rng) * 0.06).tolist()))
+    takes["known"] = Carried(KNOWN_KG["known"], tuple((direction(rng) * 0.06).tolist()))
     for k in range(pushes):
         across = direction(rng) * [1, 1, 0.3]  # not along gravity: that is a load
         across /= np.linalg.norm(across)
         takes[f"push-{k}"] = Carried(0.0, (0.0, 0.0, 0.0), 0.0, float(rng.uniform(10, 40)), tuple(across.tolist()))
+    takes["known-2"] = Carried(KNOWN_KG["known-2"], tuple((direction(rng) * 0.08).tolist()))
     return takes
 
 
@@ -67,7 +68,7 @@ def write_carrying(maker: Maker, seed: int, name: str, folder: Path) -> None:
     what, number, links = takes[name], list(takes).index(name), arm.tree.links
     add_ball(links[-1], what.mass_kg, np.array(what.com_m), what.radius_m)
     loaded = replace(arm, tree=_core.Tree(links, arm.tree.gravity))
-    seconds = 40.0 if name == "known" else FIRST_S + WINDOWS * WINDOW_S + 0.1
+    seconds = 40.0 if name in KNOWN_KG else FIRST_S + WINDOWS * WINDOW_S + 0.1
     span = (0.5, seconds)  # on from before the first window
     pushes = [Contact("hold", *span, len(maker.joints) - 1, 0.5, what.direction, what.push_n, span)] * (what.push_n > 0)
     for trial in range(5):  # a heavy load far out may shake an arm whose drive knows nothing of it

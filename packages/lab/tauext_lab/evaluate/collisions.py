@@ -10,7 +10,7 @@ import numpy as np
 from tauext import _core
 from tauext.bundle.estimates import COLLISION, Estimates
 from tauext.data.recording import Recording
-from tauext.monitor.touch_place import FOLLOWED_S, strongest_place
+from tauext.monitor.touch_place import FOLLOWED_S, find_places, strongest_sample
 from tauext_lab.evaluate.results import (
     CollisionVerdict,
     FoundBin,
@@ -428,7 +428,7 @@ def placed(
     """The estimate with links and force of the row with the largest tau_ext over its standard error, if any."""
     assert estimates.sigma_nm is not None and estimates.contact_sigma_nm is not None
     signals = (recording.q, recording.dq, estimates.tau_ext, estimates.sigma_nm, estimates.contact_sigma_nm)
-    found = strongest_place(model, *(signal[rows] for signal in signals))
+    found = None if model.refused else find_places(model, strongest_sample(*(signal[rows] for signal in signals)))
     if found is None or found.best is None:
         return estimate
     return replace(

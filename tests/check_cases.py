@@ -328,6 +328,38 @@ def file_text(case: Case, pattern: str, by: str) -> Broken:
     return case.made.recordings, re.sub(pattern, by, case.urdf.read_text())
 
 
+def not_ready(r: Recording, begin_s: float, end_s: float, value: float = 0.0) -> dict:
+    """Every signal has one value in this time."""
+    at = (r.time_s >= begin_s) & (r.time_s < end_s)
+    return {name: np.where(at[:, None], value, getattr(r, name)) for name in ("q", "dq", "tau")}
+
+
+def refreshed(r: Recording, signal: str, every: int) -> dict:
+    """A signal that is new in every so many rows."""
+    return {signal: getattr(r, signal)[np.arange(r.samples) // every * every]}
+
+
+def pressed(r: Recording, k: int) -> dict:
+    """Pushes of one to three seconds with breaks of the same length, on all joints, each of a share of its torque."""
+    rng, on, end_s = np.random.default_rng(k), np.zeros(r.samples, dtype=bool), 0.0
+    while end_s < r.duration_s:
+        begin_s, lasts_s = end_s + rng.uniform(1, 3), rng.uniform(1, 3)
+        on |= (r.time_s >= begin_s) & (r.time_s < begin_s + lasts_s)
+        end_s = begin_s + lasts_s
+    return {"tau": r.tau + on[:, None] * 0.4 * r.tau.std(axis=0) * rng.choice([-1.0, 1.0], len(r.joints))}
+
+
+def percent(case: Case) -> np.ndarray:
+    """Torque of a percent of each joint's largest torque, [Nm]; joints near the tip have small drives."""
+    return np.geomspace(4.0, 0.3, case.tree.size)
+
+
+def in_grams(case: Case) -> Broken:
+    case.needs_urdf()
+    change = lambda found: f'<mass value="{1000 * float(found[1])!r}"'  # noqa: E731
+    return case.made.recordings, re.sub(r'<mass value="([^"]*)"', change, case.urdf.read_text())
+
+
 FAULTS = [
     Fault("effort of one joint negated", "effort-sign", J,
           lambda c: each(c, lambda r, k: at(r, "tau", J, np.negative))),
@@ -336,6 +368,9 @@ FAULTS = [
           follows=("beyond-limit",)),
     Fault("effort is current, 8 to 14 Nm/A", "effort-scale", J,
           lambda c: each(c, lambda r, k: {"tau": r.tau / np.linspace(14, 8, len(r.joints))})),
+    Fault("effort in percent of each joint's largest torque", "effort-scale", J,
+          lambda c: each(c, lambda r, k: {"tau": r.tau / percent(c)})),
+    Fault("masses of the robot file in g", "inertia-impossible", None, in_grams, "weighs", ("beyond-limit",), False),
     Fault("effort before a gear of 100", "effort-motor-side", J, lambda c: each(c, lambda r, k: {"tau": r.tau / 100})),
     Fault("effort without gravity", "effort-compensated", J, uncompensated, "friction and inertia explain"),
     Fault("effort is external torque", "effort-compensated", J, external, "gravity, inertia and friction explain"),
@@ -382,6 +417,19 @@ FAULTS = [
     Fault("dq stuck", "stuck", J, lambda c: stuck(c, "dq", J),
           follows=("velocity-delay", "velocity-mismatch", "velocity-unit")),
     Fault("torque stuck", "stuck", J, lambda c: stuck(c, "tau", J)),
+    Fault("zeros until the driver is ready", "stuck", None, lambda c: each(c, lambda r, k: not_ready(r, 0.0, 2.0)),
+          "beside a jump", ("repeated-rows",)),
+    Fault("a constant at the end", "stuck", None, lambda c: each(c, lambda r, k: not_ready(r, 15.0, 99.0, 0.7)),
+          "beside a jump", ("repeated-rows",)),
+    Fault("zeros in between", "stuck", None, lambda c: each(c, lambda r, k: not_ready(r, 7.0, 7.6)),
+          "beside a jump", ("repeated-rows",)),
+    Fault("no effort", "stuck", J, lambda c: each(c, lambda r, k: {"tau": 0.0 * r.tau}), "in all samples"),
+    Fault("a dead band of the torque", "dead-band", J,
+          lambda c: each(c, lambda r, k: at(r, "tau", J, lambda x: np.where(np.abs(x) < x.std(), 0.0, x)))),
+    Fault("torques refreshed five times more slowly", "refresh-slow", None,
+          lambda c: each(c, lambda r, k: refreshed(r, "tau", 5)), "torques are new in every 5 rows"),
+    Fault("positions refreshed four times more slowly", "refresh-slow", None,
+          lambda c: each(c, lambda r, k: refreshed(r, "q", 4)), "positions are new in every 4 rows"),
     Fault("half of the rows repeated", "repeated-rows", None, repeated),
     Fault("clock jitters", "clock-irregular", None, lambda c: each(c, jittered)),
     Fault("gaps", "clock-gaps", None, gapped),

@@ -255,6 +255,10 @@ class Small:
         return list(SIGNALS)[self.number // len(ARMS) % len(SIGNALS)]
 
     @property
+    def known_as(self) -> tuple[int, str]:
+        return self.number, f"{self.arm_name}: {self.signals_name}"
+
+    @property
     def recipes(self) -> tuple[str, ...]:
         return (*MAIN, OTHERS[self.number % len(OTHERS)])
 
@@ -342,8 +346,8 @@ class Ending:
     fault: str = ""
 
 
-def ended(small: Small, stage: str, work: Callable[[], str]) -> Ending:
-    """The ending of some work, which returns what is wrong with its result, or nothing.
+def ended(number: int, words: str, stage: str, work: Callable[[], str]) -> Ending:
+    """The ending of some work on a dataset, which returns what is wrong with its result, or nothing.
 
     A warning of NumPy's is a fault, too: it stands on the user's screen, and NaN comes of it.
     """
@@ -366,7 +370,7 @@ def ended(small: Small, stage: str, work: Callable[[], str]) -> Ending:
     if runtime and not fault:
         where = f"{Path(runtime[0].filename).name}:{runtime[0].lineno}"
         fault = f"RuntimeWarning: {runtime[0].message} ({where})"
-    return Ending(small.number, f"{small.arm_name}: {small.signals_name}", stage, message, fault)
+    return Ending(number, words, stage, message, fault)
 
 
 def train(small: Small, data: Path, out: Path, recipe: str, accept: Sequence[str] = (), start: Start = NOTHING) -> str:
@@ -400,10 +404,10 @@ def endings(small: Small, folder: Path) -> Iterator[Ending]:
     data = small.write(folder / "data")
     for recipe in small.recipes:
         out = folder / f"{recipe}.tauext"
-        yield (first := ended(small, recipe, lambda out=out, recipe=recipe: train(small, data, out, recipe)))
+        yield (first := ended(*small.known_as, recipe, lambda out=out, recipe=recipe: train(small, data, out, recipe)))
         if first.message.startswith("the doctor"):
             work = lambda out=out, recipe=recipe: train(small, data, out, recipe, tuple(codes()))  # noqa: E731
-            yield ended(small, f"{recipe} --accept", work)
+            yield ended(*small.known_as, f"{recipe} --accept", work)
         if out.is_file():
             yield from uses(small, data, out)
 
@@ -438,10 +442,10 @@ def uses(small: Small, data: Path, bundle: Path) -> Iterator[Ending]:
         return ""
 
     if recipe in (*MAIN, "friction"):
-        yield ended(small, f"{recipe}, refit", refitted)
-    yield ended(small, f"{recipe}, calibrate", calibrated)
-    yield ended(small, f"{recipe}, load", lambda: weighed(None))
-    yield ended(small, f"{recipe}, load --known-kg", lambda: weighed(1.0))
+        yield ended(*small.known_as, f"{recipe}, refit", refitted)
+    yield ended(*small.known_as, f"{recipe}, calibrate", calibrated)
+    yield ended(*small.known_as, f"{recipe}, load", lambda: weighed(None))
+    yield ended(*small.known_as, f"{recipe}, load --known-kg", lambda: weighed(1.0))
 
 
 def of_number(number: int) -> list[Ending]:

@@ -16,11 +16,12 @@ from tauext.data import description
 from tauext.data.assemble import assemble, derived_velocity, interpolated
 from tauext.data.clock import RowRules
 from tauext.data.description import parse_arm
-from tauext.data.description_template import Guess, guess, template
+from tauext.data.description_template import Guess, guess, guess_values, template
 from tauext.data.importers.open_raw import open_raw
 from tauext.data.importers.raw import RawRecording, RawSignals
 from tauext.data.recording import fitted_period_ns, fresh, lost_samples, ordered
 from tauext.data.servo import from_amperes, in_amperes
+from tauext.data.unmeasured import UNMEASURED
 from tauext.errors import ConfigError, RecordingError
 
 ARM = """
@@ -397,6 +398,65 @@ def test_the_template_makes_a_servos_torque_where_no_column_holds_it():
     assert parse_arm(template(guess({"": ["t", *duty]}))).servo.torque_from == "duty"
     with_current = template(guess({"": ["t", *named, *(f"current_{joint}" for joint in joints)]}))
     assert parse_arm(with_current).servo is None and 'unit = "A"' in with_current
+
+
+@pytest.mark.parametrize(
+    ("what", "first", "after"),
+    [("all", 0, 150), ("all", 250, 400), ("all", 200, 230), ("tau", 0, 150), ("one position", 0, 150)],
+)
+@pytest.mark.parametrize("value", [0.0, 3.0])
+def test_rows_that_a_driver_did_not_measure_are_left_out_and_counted(what, first, after, value):
+    """At the beginning, at the end and in between."""
+    t_ns, *signals = motion(joints=2)
+    q, dq, tau = (x + 2e-4 * np.random.default_rng(0).standard_normal(x.shape) for x in signals)
+    tau += 40.0
+    rows = slice(first, after)
+    for x in (q, dq, tau) if what == "all" else (tau,) if what == "tau" else (q[:, 1:],):
+        x[rows] = value
+    q[:, 1] += 9.0 * (what == "one position")
+    q[rows, 1] -= 9.0 * (what == "one position")
+    recording = one(a_source(t_ns, q=q, dq=dq, tau=tau), arm())
+    kept = np.delete(np.arange(len(t_ns)), rows)
+    np.testing.assert_array_equal(recording.t_ns, t_ns[kept])
+    assert recording.provenance["counts"][UNMEASURED] == after - first
+    assert recording.provenance["dropped_share"] == pytest.approx((after - first) / len(t_ns), abs=1e-6)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+@pytest.mark.parametrize("pause_s", [0.0, 30.0])
+def test_an_arm_that_rests_is_measured(noise, pause_s):
+    """Without noise, before a friction that begins at once, and where the log was stopped while the arm moved."""
+    t_ns, q, dq, tau = motion(joints=2)
+    rests = np.r_[np.zeros(150, int), np.arange(250)]
+    q, tau = q[rests], tau[rests] + 5.0 * (np.arange(400) >= 150)[:, None]
+    if pause_s:
+        t_ns, q = t_ns + np.where(np.arange(400) >= 150, round(pause_s * 1e9), 0), q + (np.arange(400) >= 150)[:, None]
+    q = q + noise * np.random.default_rng(0).standard_normal(q.shape)
+    tau = tau + noise * np.random.default_rng(1).standard_normal(q.shape)
+    assert one(a_source(t_ns, q=q, dq=dq, tau=tau), arm()).samples == 400
+
+
+UR_NAMES = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", *(f"wrist_{k}_joint" for k in (1, 2, 3)))
+
+
+@pytest.mark.parametrize(("largest", "unit"), [(2.5, "A"), (48.0, "Nm")])
+def test_the_effort_of_a_ur_arm_is_a_current_or_a_torque_by_its_size(largest, unit):
+    t_ns, q, dq, _ = motion(joints=6)
+    names = [f"{signal}[ur5e_{joint}]" for signal in ("position", "velocity", "effort") for joint in UR_NAMES]
+    block = RawSignals("/joint_states", tuple(names), t_ns, np.hstack([q, dq, largest * np.sin(q)]))
+    found = guess({"/joint_states": names})
+    guess_values(found, RawRecording("run", Path("run.bag"), "test", lambda: iter([block])))
+    text = template(found)
+    assert f'\nunit = "{unit}"' in text.partition("[signals.tau]")[2].partition("\n[")[0]
+    assert ('\ntorque_constant = "unknown"' in text) == (unit == "A") and "use_currents_as_efforts" in text
+
+
+def test_of_a_log_by_rtde_the_measured_torque_is_taken():
+    kinds = ("target_current", "target_moment", "actual_q", "actual_qd", "actual_current", "actual_current_as_torque")
+    found = guess({"": ["timestamp", *(f"{kind}_{k}" for kind in ("target_q", *kinds) for k in range(6))]})
+    assert found.columns["tau"] == "actual_current_as_torque_{index}" and '\nunit = "A"' not in template(found)
+    fewer = guess({"": ["timestamp", *(f"{kind}_{k}" for kind in kinds[:-1] for k in range(6))]})
+    assert fewer.columns["tau"] == "actual_current_{index}" and 'torque_constant = "unknown"' in template(fewer)
 
 
 def test_the_template_guesses_names_of_columns():

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from check_cases import FAULTS, Case, Fault, beside, is_named, scara, standing
+from check_cases import FAULTS, Case, Fault, beside, is_named, pressed, scara, standing
 from made_arms import planar_arm, six_axis, urdf
 from made_recordings import made_motion
 from tauext_lab.sim.collect import simulate_recording
@@ -158,6 +158,60 @@ def test_one_fault_of_the_whole_motion_is_named_alone(six, searched, longer, cas
     assert {f.code for f in found if f.severity == "fault"} == ({code} if named else set())
     assert joints is None or {f.joint for f in named} <= joints and bool(named) == bool(joints)
     assert all(words in f.evidence for f in named)
+
+
+def advice(case: Case, change, code: str) -> str:
+    """The one remedy of a code's findings."""
+    found = examine([replace(r, tau=change * r.tau) for r in case.made.recordings], case.urdf).findings
+    (one,) = {f.advice for f in found if f.code == code}
+    return one
+
+
+@pytest.mark.parametrize("share", [1.0, pytest.param(100.0, marks=pytest.mark.slow)])
+def test_factors_that_differ_are_listed_a_joint_each(six, share):
+    """Of a share of each joint's largest torque; light joints, whose gravity is little, are among them."""
+    largest_nm = np.geomspace(400.0, 30.0, 6)
+    text = advice(six, share / largest_nm, "effort-scale")
+    listed = dict(re.findall(r"(joint\d) (\S+?)[,.;] ", text.partition("multiply by ")[2].partition("These")[0] + " "))
+    assert {j: float(listed[f"joint{j + 1}"]) for j in range(6)} == pytest.approx(
+        dict(enumerate(largest_nm / share)), rel=0.02
+    )
+
+
+@pytest.mark.parametrize(
+    ("factors", "wrong"), [([1, 1, 0.5, 1, 1, 1], "joint3 2 at"), ([1, 1, 1, 0.5, 1, 0.5], "joint4 2, joint6 2 at")]
+)
+def test_a_wrong_constant_of_some_joints_is_no_payload(six, factors, wrong):
+    found = examine([replace(r, tau=np.array(factors) * r.tau) for r in six.made.recordings], six.urdf).findings
+    assert {f.code for f in found} == {"effort-scale", "too-short"}
+    assert all(f"multiply by {wrong} import" in f.advice for f in found if f.code == "effort-scale")
+
+
+def test_no_gear_is_advised_that_no_machine_has(six):
+    """Position errors of a servo, for instance: the torque divided by its stiffness."""
+    found = examine([replace(r, tau=r.tau / 12_000) for r in six.made.recordings], six.urdf).findings
+    assert {f.code for f in found} == {"effort-scale", "too-short"}
+    assert not any("gear ratio" in f.advice for f in found)
+    assert all("no gear and no torque constant is so large" in f.advice for f in found if f.code == "effort-scale")
+
+
+def test_beside_an_impossible_inertia_the_torque_is_compared_with_the_model(six, tmp_path):
+    (tmp_path / "robot.urdf").write_text(re.sub(r'izz="[^"]*"', 'izz="9"', six.urdf.read_text(), count=1))
+    found = examine([replace(r, tau=3 * r.tau) for r in six.made.recordings], tmp_path / "robot.urdf").findings
+    assert {f.code for f in found if f.severity == "fault"} == {"inertia-impossible", "effort-scale"}
+
+
+@pytest.mark.slow
+def test_an_arm_that_is_pressed_half_of_the_time_is_reported(tmp_path):
+    case = six_axes(tmp_path, 1.2)
+    found = examine([replace(r, **pressed(r, k)) for k, r in enumerate(case.made.recordings)], case.urdf).findings
+    assert any(f.code == "contact-in-free-motion" and "often off" in f.evidence for f in found)
+
+
+def test_currents_that_are_torques_are_reported(six):
+    as_current = [replace(r, provenance={"torque": AMPERES}) for r in six.made.recordings]
+    (one,) = [f for f in examine(as_current, six.urdf).findings if f.code == "effort-scale"]
+    assert one.joint is None and one.severity == "warning" and 'unit = "Nm"' in one.advice
 
 
 def test_axis_along_gravity_has_no_offset(tmp_path):

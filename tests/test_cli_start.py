@@ -1,10 +1,16 @@
 """What the command line loads before it answers: help and `show` shall not wait for what they do not use."""
 
 import os
+import re
 import subprocess
 import sys
 
+import pytest
 from made_bundles import watching_bundle, with_error_scale
+
+from tauext.cli import given_once, main, options_with_lists
+from tauext.cli.commands import all_commands
+from tauext.errors import ConfigError
 
 LOADED = (
     "import atexit, sys; atexit.register(lambda: print(*sys.modules, file=sys.stderr)); from tauext.cli import main; "
@@ -38,3 +44,39 @@ def test_show_describes_a_bundle_without_numpy_and_the_library_of_recordings(tmp
     loaded = modules_after("show", str(tmp_path / "arm.tauext"))
     assert "tauext.bundle.units" in loaded
     assert not loaded & {"numpy", "tauext.data.recording", "pyarrow"}
+
+
+LISTS = {"accept", "torque-constants"}
+
+
+@pytest.mark.parametrize(
+    ("given", "read"),
+    [
+        ("b --accept A --out o --accept B C --json", "b --out o --accept A B C --json"),
+        ("--accept=A --accept=B --json", "--accept A B --json"),
+        ("--torque-constants 1 -2 --torque_constants 3", "--torque-constants 1 -2 3"),
+        ("--from -3 --to 4", "--from -3 --to 4"),
+    ],
+)
+def test_values_of_a_repeated_option_add_up(given, read):
+    assert given_once(given.split(), LISTS) == read.split()
+
+
+@pytest.mark.parametrize("given", ["--out a --out b", "--out a --out=a", "--json --json", "--in-hours 8 --in_hours 9"])
+def test_an_option_with_one_value_is_refused_if_given_twice(given):
+    with pytest.raises(ConfigError, match="is given twice"):
+        given_once(given.split(), LISTS)
+
+
+def commands(within, prefix=""):
+    for name, one in within.items():
+        yield from commands(one.commands, f"{prefix}{name} ") if one.commands else [(f"{prefix}{name}", one)]
+
+
+@pytest.mark.parametrize("name", dict(commands(all_commands())))
+def test_options_with_lists_are_those_that_the_help_shows_with_dots(name, capsys):
+    lists = options_with_lists(dict(commands(all_commands()))[name].load())
+    with pytest.raises(SystemExit):
+        main([*name.split(), "--help"])
+    shown = re.findall(r"--([a-z][\w.-]*) [^a-z\n]*\.\.\.", capsys.readouterr().out)
+    assert {one.rpartition(".")[2] for one in shown} <= lists

@@ -141,6 +141,13 @@ def test_a_contact_in_training_changes_nothing_of_what_is_learned_beside_it(tmp_
     assert any("are left out: in contact" in note for note in facts["notes"])
 
 
+def test_a_recording_whose_contact_is_unknown_throughout_is_not_trained_on():
+    unknown = motion(contact=np.full(round(40.0 * RATE_HZ), -1, dtype=np.int8))
+    with pytest.raises(TrainingError, match=r"contact = -1, unknown, in all samples of 1 training recordings"):
+        training_motion([unknown], [], TrainConfig(recipe="prior"))
+    assert training_motion([unknown, motion(seed=1)], [], TrainConfig(recipe="prior")).training[0].contact is None
+
+
 def test_a_standing_arm_has_limits_at_rest_and_nothing_to_learn(tmp_path, monkeypatch):
     still = motion(seconds=10.0, still=True)
     with pytest.raises(TrainingError, match="no joint moves in any of 1 training recordings.*--recipe observer"):

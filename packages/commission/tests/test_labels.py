@@ -73,9 +73,10 @@ def test_a_person_s_answer_counts_more_than_a_suspicion_but_silence_counts_more_
     assert (both[200:301] == 1).all() and (both[301:501] == -1).all()
 
 
-def test_a_recording_within_one_unanswered_alarm_is_not_free():
+def test_a_recording_within_one_unanswered_alarm_is_not_free(tmp_path):
     made = overlay([label(1, -5, 50, "unanswered")], 1, times(0, 10))
-    assert (made == 1).all()
+    assert (made == -1).all()
+    assert not free_samples(replace(load_recording(segment(tmp_path, 0, 10)), contact=made)).any()
 
 
 def test_margins_reach_into_the_next_file(tmp_path):

@@ -23,11 +23,13 @@ def fleet_endings(number: int, folder: Path) -> Iterator[Ending]:
         make_fleet_prior(fleet_arms([str(arm) for arm in arms[:3]]), prior, small.config("prior"), tuple(codes()))
         return ""
 
-    yield ended(small, "fleet prior", made)
+    yield ended(*small.known_as, "fleet prior", made)
     if prior.is_file():
         out = folder / "like.tauext"
         yield ended(
-            small, "train --like", lambda: train(small, arms[3], out, "prior", tuple(codes()), load_like(prior))
+            *small.known_as,
+            "train --like",
+            lambda: train(small, arms[3], out, "prior", tuple(codes()), load_like(prior)),
         )
 
 

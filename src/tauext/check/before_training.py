@@ -18,6 +18,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.bundle.estimates import OK
+from tauext.check.checks import EXPLAINED
 from tauext.check.examine import examine, not_checked, quick_checks, unlabelled_contacts
 from tauext.check.finding import Finding, Severity, added, by_code, codes, finding_lines
 from tauext.check.motion import MOVING_RAD_S
@@ -263,6 +264,9 @@ def refuse_faults(
     for word, severity in severities.items():
         for entry in entries(findings, severity):
             report.say(f"{word}: {sentence(entry)}")
+    for code in dict.fromkeys(one.code for one in findings if one.severity == "fault"):
+        left = [*EXPLAINED.get(code, ()), "contacts without a label"]
+        report.say(f"not judged beside the accepted {code}: {', '.join(left)}")
     return {
         name: {"accepted": entries(result, "fault"), "warnings": entries(result, "warning")}
         for name, result in results.items()

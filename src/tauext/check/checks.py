@@ -30,8 +30,10 @@ def _added_last(x: Examination) -> list[Finding]:
 
 def _scales(x: Examination) -> list[Finding]:
     """Findings of a payload if it explains all factors of torque, else of the factors."""
+    if (unit := robot_file.unit_findings(x, effort.factors_of)) is not None:
+        return [unit]
     found, judged = effort.kind_findings(x)
-    found += effort.far_findings(x)
+    found += [*effort.far_findings(x), *effort.no_current_findings(x)]
     factors = effort.scale_findings(x, judged)
     loaded = robot_file.payload_of(x, judged) if judged and not found else None
     if loaded is None:
@@ -43,6 +45,13 @@ def _scales(x: Examination) -> list[Finding]:
         return [payload]
     x.correct(tree=before)
     return factors
+
+
+def _odd_torques(x: Examination) -> Sequence[Finding]:
+    """Leaves out recordings whose torque is odd by nothing that the signals explain."""
+    odd = list(odd_torque.odd_torques(x))
+    left = without_symptoms([*x.all_found, *odd])
+    return x.leave_out([finding for finding in odd if finding in left])
 
 
 def _contacts(x: Examination) -> list[Finding]:
@@ -122,13 +131,15 @@ CHECKS = [
     Row(("clock-irregular",), SIGNALS, clock.jitter_findings, quick=True, spoils=True),
     Row(("repeated-rows",), SIGNALS, clock.repeat_findings, quick=True, spoils=True),
     Row(("saturated",), SIGNALS, sensors.saturated_findings, spoils=True),
+    Row(("dead-band",), SIGNALS, sensors.dead_findings, quick=True),
+    Row(("refresh-slow",), SIGNALS, sensors.refresh_findings),
     Row(("stuck",), SIGNALS, sensors.stuck_findings, quick=True, spoils=True),
     Row(("resolution",), SIGNALS, sensors.coarse_torques, spoils=True),
     Row(("resolution",), SIGNALS, sensors.smoothed_findings, spoils=True),
     Row(("degrees", "velocity-sign", "velocity-unit", "velocity-delay", "velocity-mismatch", "joint-order"),
         VELOCITIES, clock.velocity_findings, ("motion",)),
     Row(("degrees",), VELOCITIES, clock.degree_findings, quick=True),
-    Row(("odd-recording",), VELOCITIES, lambda x: x.leave_out(odd_torque.odd_torques(x)), ("motion", "sign")),
+    Row(("odd-recording",), VELOCITIES, _odd_torques, ("motion", "sign")),
     Row(("never-moves", "excitation-low", "too-short"), VELOCITIES, effort.excitation_findings),
     Row(("beyond-limit",), VELOCITIES, robot_file.limit_findings, ("robot file",)),
     Row(("effort-sign",), VELOCITIES, effort.pose_findings, ("model", "sign", "no fit")),
@@ -138,7 +149,8 @@ CHECKS = [
     Row(("effort-sign",), SIGNS, effort.sign_findings, ("fit",)),
     Row(("torque-delay",), DELAYS, effort.delay_findings, ("fit", "measured torque")),
     Row(("gravity-direction",), SCALES, robot_file.gravity_findings, ("fit", "model")),
-    Row(("effort-scale", "effort-motor-side", "effort-compensated", "payload"), SCALES, _scales, ("fit", "model")),
+    Row(("effort-scale", "effort-motor-side", "effort-compensated", "payload", "inertia-impossible"), SCALES,
+        _scales, ("fit", "model")),
     Row(("effort-scale",), SCALES, effort.unit_findings, ("fit", "no model")),
     Row(("torque-changes",), CHANGES, torque.friction_findings, ("fit",)),
     Row(("torque-changes",), CHANGES, torque.growth_findings, ("fit", "measured torque")),
@@ -170,6 +182,19 @@ EXPLAINED: dict[str, tuple[str, ...]] = {
 """Codes that each cause explains; the causes in the order in which they are to be mended."""
 
 
+SYMPTOMS: dict[str, tuple[str, ...]] = {
+    "dead-band": (*_TORQUE, "torque-delay", "torque-changes", "odd-recording", "resolution"),
+    "refresh-slow": ("torque-delay", "velocity-delay", "velocity-mismatch", "resolution"),
+}
+"""Codes that a warning explains at its joint; without a joint, at all."""
+
+
+def without_symptoms(found: Sequence[Finding]) -> list[Finding]:
+    """Findings without those that a warning among them explains."""
+    told = {(effect, f.joint) for f in found for effect in SYMPTOMS.get(f.code, ())}
+    return [f for f in found if not told & {(f.code, f.joint), (f.code, None)}]
+
+
 def causes_only(found: Sequence[Finding]) -> list[Finding]:
     """Findings, worst first and causes before others, without those that a fault among them explains."""
     explained: set[str] = set()
@@ -177,5 +202,5 @@ def causes_only(found: Sequence[Finding]) -> list[Finding]:
         if code not in explained and any(f.code == code and f.severity == "fault" for f in found):
             explained.update(EXPLAINED[code])
     order = {code: k for k, code in enumerate(EXPLAINED)}
-    left = [finding for finding in found if finding.code not in explained]
+    left = [finding for finding in without_symptoms(found) if finding.code not in explained]
     return sorted(left, key=lambda f: (SEVERITIES.index(f.severity), order.get(f.code, len(order))))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from tauext.check.examination import SEARCH_S, Examination
 from tauext.check.finding import Finding, Severity
 from tauext.check.joint_fit import FitRows, JointFit
 from tauext.check.motion import MOVING_RAD_S, Stretch
+from tauext.data.description_template import UR_EFFORT, UR_JOINTS
 from tauext.data.recording import Recording
 from tauext.data.servo import in_amperes
 
@@ -188,51 +189,158 @@ def unit_findings(x: Examination) -> Iterator[Finding]:
 def kind_findings(x: Examination) -> tuple[list[Finding], list[int]]:
     """Findings of efforts without gravity or before the gear, and the joints without such a finding whose gravity, of
     the model or as fitted, is large enough to judge its factor."""
-    found, left, model_nm = [], [], x.rows.gravity.std(axis=0)
+    found, left, geared = list[Finding](), list[int](), list[int]()
+    model_nm = x.rows.gravity.std(axis=0)
     for j, fit in enumerate(x.fits):
         strong = model_nm[j] > 0.3 * fit.torque_nm or fit.gravity_nm > 0.2 * fit.torque_nm
         if not strong or fit.torque_nm == 0 or model_nm[j] <= 0.02 * model_nm.max():
             continue
-        code, (factor, error), absent = "effort-compensated", fit.gravity_factor, abs(fit.gravity_factor[0]) < 0.15
+        (factor, error), absent = fit.gravity_factor, abs(fit.gravity_factor[0]) < 0.15
         if absent and fit.explained < 0.5:
             shown = f"; gravity, inertia and friction explain {max(0.0, fit.explained):.0%} of the effort"
             advice = "this is already an external torque or an error: record the motor's or joint's torque instead"
         elif absent and fit.gravity_nm < 0.2 * fit.torque_nm:  # with more gravity, the unit is too small
             shown = f"; friction and inertia explain {fit.explained:.0%} of the effort"
             advice = "the driver subtracts gravity: record the uncompensated torque, or add g(q) of the model at import"
-        elif 0 < factor < 1 / 20 and error < 0.3 * factor:  # gear ratios exceed 30; no joint has so few Nm/A
-            code, shown = "effort-motor-side", f": 1 / {1 / factor:.3g}"
-            advice = f"the torque before the gear: multiply by the gear ratio (about {1 / factor:.3g}) at import"
         else:
-            left.append(j)
+            # gear ratios exceed 30; no joint has so few Nm/A
+            (geared if 0 < factor < 1 / 20 and error < 0.3 * factor else left).append(j)
             continue
-        varies = f"where the model's gravity varies by {float(x.rows.gravity[:, j].std()):.3g} Nm"
-        evidence = f"gravity factor {factor:.3g} ± {error:.1g} {varies}"
-        found.append(Finding(code, "fault", x.joints[j], evidence + shown, advice))
-    return found, left
+        found.append(Finding("effort-compensated", "fault", x.joints[j], _gravity_words(x, j) + shown, advice))
+    if geared and (gears := _gear_findings(x, geared)):
+        return found + gears, left
+    return found, sorted(left + geared)
+
+
+def _gravity_words(x: Examination, j: int) -> str:
+    factor, error = x.fits[j].gravity_factor
+    varies = f"where the model's gravity varies by {float(x.rows.gravity[:, j].std()):.3g} Nm"
+    return f"gravity factor {factor:.3g} ± {error:.1g} {varies}"
+
+
+MOST_GEAR = 400.0
+"""Largest ratio of a joint's gear; wave gears have up to 160 a stage, and few joints two stages."""
+
+MOST_APART = 5.0
+"""Largest ratio of two gears of one arm; shares of the largest torques are further apart."""
+
+
+def _gear_findings(x: Examination, geared: Sequence[int]) -> list[Finding]:
+    """Findings of efforts before the gear: at these joints, with ratios of gears, while others are in Nm."""
+    factors = factors_of(x)
+    others = [factor for j, (factor, _) in factors.items() if j not in geared]
+    ratios = {j: 1 / factors.get(j, x.fits[j].gravity_factor)[0] for j in geared}
+    most, unlike = max(ratios.values()), max(ratios.values()) > MOST_APART * min(ratios.values())
+    if most > MOST_GEAR or unlike or not all(LOW < factor < 2 * HIGH for factor in others if factor > 1 / 20):
+        return []
+    how = "multiply by the gear ratio at import"
+    how += f" (about {_each(x, ratios)})" if _differ(ratios) else f" (about {float(np.median([*ratios.values()])):.3g})"
+    return [
+        Finding(
+            "effort-motor-side",
+            "fault",
+            x.joints[j],
+            f"{_gravity_words(x, j)}: 1 / {1 / x.fits[j].gravity_factor[0]:.3g}",
+            f"the torque before the gear: {how}",
+        )
+        for j in geared
+    ]
+
+
+def _each(x: Examination, values: Mapping[int, float]) -> str:
+    return ", ".join(f"{x.joints[j]} {value:.3g}" for j, value in values.items())
+
+
+def _differ(values: Mapping[int, float]) -> bool:
+    """Whether they are further apart than errors of a model."""
+    return max(values.values()) > 1.15 * min(values.values())
+
+
+def factors_of(x: Examination) -> dict[int, tuple[float, float]]:
+    """Factor of each joint's torque on the model's, and its error, where it is known to a tenth."""
+    found = {j: joint_fit.model_factor(x.rows, j) for j in range(len(x.joints))}
+    return {j: (factor, error) for j, (factor, error) in found.items() if factor > 0 and error < 0.1 * factor}
 
 
 LOW, HIGH = 0.7, 1.45  # good torques have factors in this range, given payload, cables and rough models
 
 
 def scale_findings(x: Examination, judged: Sequence[int]) -> list[Finding]:
-    """Findings of factors outside the range of good torques."""
-    found = []
+    """Findings of factors outside the range of good torques; the advice lists the factors of all joints."""
+    off = []
     for j in judged:
         factor, error = x.fits[j].gravity_factor
-        if LOW <= factor <= HIGH or factor <= 0 or abs(factor - 1) < 4 * error:
-            continue
-        inertial, inertial_error = x.fits[j].inertial_factor
-        evidence = f"effort = {factor:.3g} ± {error:.1g} times the model's gravity"
-        if inertial and inertial_error < 0.3 * abs(inertial):
-            evidence += f", {inertial:.3g} ± {inertial_error:.1g} times its inertial torque"
-        advice = (
-            f"a current or another unit: multiply by {1 / factor:.3g} (for a current, this is its torque constant in "
-            "Nm/A); or a payload that is not in the model, where factors grow towards the tip; or another arm's robot "
-            "file, where they differ without order"
-        )
+        if not (LOW <= factor <= HIGH or factor <= 0 or abs(factor - 1) < 4 * error):
+            off.append(j)
+    if not off:
+        return []
+    factors = factors_of(x)
+    advice = scale_advice(x, {j: 1 / factor for j, (factor, _) in factors.items()}, off)
+    # beside a joint that is off, light ones are too, whose gravity alone shows too little
+    more = [j for j, (factor, error) in factors.items() if not LOW <= factor <= HIGH and abs(factor - 1) > 4 * error]
+    found = []
+    for j in sorted({*off, *more}):
+        if j in off:
+            evidence = "effort = {:.3g} ± {:.1g} times the model's gravity".format(*x.fits[j].gravity_factor)
+            inertial, inertial_error = x.fits[j].inertial_factor
+            if inertial and inertial_error < 0.3 * abs(inertial):
+                evidence += f", {inertial:.3g} ± {inertial_error:.1g} times its inertial torque"
+        else:
+            evidence = "effort = {:.3g} ± {:.1g} times the model's torque".format(*factors[j])
         found.append(Finding("effort-scale", "fault", x.joints[j], evidence, advice))
     return found
+
+
+def no_current_findings(x: Examination) -> list[Finding]:
+    """Finding of currents that are the model's torque at all joints that show it: they are torques."""
+    factors = factors_of(x) if in_amperes(x.recordings) else {}
+    if len(factors) < 2 or not all(0.8 < factor < 1.25 for factor, _ in factors.values()):
+        return []
+    evidence = (
+        "imported as currents of unknown torque constants, but equal to the model's torque in Nm: "
+        f"{_each(x, {j: factor for j, (factor, _) in factors.items()})} times"
+    )
+    advice = 'they are torques: give unit = "Nm" in [signals.tau], and no torque_constant'
+    return [Finding("effort-scale", "warning", None, evidence, advice)]
+
+
+def scale_advice(x: Examination, by: Mapping[int, float], off: Sequence[int]) -> str:
+    """What to multiply by: one number, or one a joint where they differ.
+
+    Args:
+        by: what each joint's effort must be multiplied by, where it is known.
+        off: joints that are certainly off, at least one.
+    """
+    known = dict(by) or {j: 1 / x.fits[j].gravity_factor[0] for j in off}
+    other = (
+        "or a payload that is not in the model, where factors grow towards the tip; or another arm's robot file, where "
+        "they differ without order"
+    )
+    if min(known.values()) > MOST_GEAR:
+        what = "no gear and no torque constant is so large: kNm, a position error, or a share of the largest torque"
+    elif max(known.values()) < 1e-2:
+        what = "another unit, mNm for instance"
+    elif all(any(name.endswith(joint) for name in x.joints) for joint in UR_JOINTS):
+        what = f"a current or another unit ({UR_EFFORT})"
+    else:
+        what = "a current or another unit"
+    if not _differ(known):
+        times = f"{float(np.median(list(known.values()))):.3g}"
+        return f"{what}: multiply by {times} (for a current, this is its torque constant in Nm/A); {other}"
+    if right := [j for j, factor in known.items() if abs(factor - 1) < 0.1]:
+        wrong = {j: factor for j, factor in known.items() if j not in right}
+        what = f"a wrong torque constant or gear ratio: multiply by {_each(x, wrong)} at import, and leave the others"
+        return f"{what}; {other}"
+    lacking = [name for j, name in enumerate(x.joints) if j not in known]
+    unknown = f"; unknown for {', '.join(lacking)}" if lacking else ""
+    most = max(float(np.abs(r.tau).max()) for r in x.recordings)
+    unit, full = next(((u, n) for u, n in (("shares", 1), ("percent", 100), ("per mille", 1000)) if most <= n), ("", 0))
+    shares = f", or {unit} of a largest torque of {_each(x, {j: full * k for j, k in known.items()})} Nm" * bool(full)
+    return (
+        f"{what}, with a factor of its own at each joint: multiply by {_each(x, known)}{unknown}. These are torque "
+        f'constants in Nm/A of currents{shares}: give them as torque_constant, with unit = "A", in [signals.tau]; '
+        f"{other}"
+    )
 
 
 # --- Delay of the torque against the motion.

@@ -126,7 +126,7 @@ def _of_currents(found: list[Finding], recordings: Sequence[Recording]) -> list[
         return f"no action is needed if torque constants explain it, which `train` fits; else {finding.advice}"
 
     codes = ("effort-scale", "effort-motor-side", "position-offset")
-    return [replace(f, severity="warning", advice=advice(f)) if f.code in codes else f for f in found]
+    return [replace(f, severity="warning", advice=advice(f)) if f.code in codes and f.joint else f for f in found]
 
 
 def facts_of(x: Examination) -> list[Facts]:

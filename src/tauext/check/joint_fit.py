@@ -256,6 +256,22 @@ def fit_joint(rows: FitRows, joint: int) -> JointFit:
     return JointFit(weights, left_out, predicted, float(torque.std()), error_nm, gravity_nm, inertial_nm, friction_nm)
 
 
+def model_factor(rows: FitRows, joint: int) -> tuple[float, float]:
+    """Measured torque per unit of the model's gravity and inertia together, and its standard error; 0, 0 where the
+    model has no torque there. It is as small or as large as another unit makes it: nothing is ignored beside friction.
+    """
+    torque, model = rows.tau[:, joint], rows.model[:, joint]
+    if not model.std() > 1e-6 * rows.model.std(axis=0).max() or not torque.std() > 0:
+        return 0.0, 0.0
+    size = torque.std() / model.std()
+    own = (rows.acceleration[:, joint], rows.friction[:, joint])
+    columns = np.column_stack([size * model, np.zeros(len(model)), *own])
+    weights, trust = robust_solve(columns, torque)
+    blocks = np.array_split(np.arange(len(torque)), BLOCKS)
+    left_out = [solve(*(np.delete(x, b, axis=0) for x in (columns, torque, trust)))[0] for b in blocks]
+    return size * float(weights[0]), size * spread_of(np.array(left_out))
+
+
 # --- Numbers common to all joints: the direction of gravity, a load.
 
 

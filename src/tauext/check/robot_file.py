@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +86,9 @@ def _impossible(inertia: np.ndarray) -> str | None:
     return None
 
 
+NOT_COMPARED = "; torques were not compared with the model: order, sign, scale, load and contacts are not judged"
+"""End of the evidence of a fault without whose correction there is no model; it remains where the fault is accepted."""
+
 # --- The robot file: a tree where it can be loaded, else findings of its faults.
 
 
@@ -114,19 +117,35 @@ def file_findings(x: Examination) -> Iterator[Finding]:
                 else f"taken in the file's order: {', '.join(names)}; name them so at import"
             )
             evidence = f"{', '.join(unknown)} are not in {path.name}; its joints are {', '.join(known)}"
+            evidence += NOT_COMPARED if foreign else ""
             yield Finding("joint-names", "fault" if foreign else "warning", None, evidence, advice)
         if not (unknown and foreign):
-            found = list(model_findings(carried_bodies(path, names)))
+            bodies = carried_bodies(path, names)
+            found, has_mass = list(model_findings(bodies)), {body.joint for body in bodies if body.mass_kg > LEAST}
+            # gravity needs possible masses and no inertia; what wrong masses do not explain is no finding
+            if len(has_mass) == len(names) and all(_has_weight(body) for body in bodies):
+                wrong = {one.joint for one in found if one.severity == "fault"}
+                x.tree = _without_inertia(load_tree(path, names, gravity=x.gravity), wrong)
+                x.torque_limits_nm, x.position_limits_rad = torque_limits(path, names), position_limits(path, names)
+            else:
+                found = [replace(one, evidence=one.evidence + NOT_COMPARED) for one in found]
             yield from found
-            # what a wrong model does not explain is no finding
-            if not any(finding.severity == "fault" for finding in found):
-                tree, limits_rad = load_tree(path, names, gravity=x.gravity), position_limits(path, names)
-                x.torque_limits_nm = torque_limits(path, names)
-                x.tree, x.position_limits_rad = tree, limits_rad
     except RobotError as error:
         advice = "correct the file, or check without --robot"
-        yield Finding("model-unusable", "fault", None, str(error), advice)
+        yield Finding("model-unusable", "fault", None, str(error) + NOT_COMPARED, advice)
     yield from _changed(x, path)
+
+
+def _without_inertia(tree: _core.Tree, joints: Collection[str | None]) -> _core.Tree:
+    """The tree with the links of these joints as points of their mass: a wrong inertia explains no torque."""
+    links = tree.links
+    for link in links:
+        link.inertia = [0.0] * 6 if link.joint_name in joints else link.inertia
+    return _core.Tree(links, tree.gravity)
+
+
+def _has_weight(body: CarriedBody) -> bool:
+    return 0 <= body.mass_kg < math.inf and bool(np.isfinite(body.inertia_kg_m2).all())
 
 
 def _changed(x: Examination, path: Path) -> Iterator[Finding]:
@@ -203,6 +222,31 @@ def gravity_findings(x: Examination) -> Iterator[Finding]:
         x.correct(tree=tilted[1])
 
 
+def unit_findings(
+    x: Examination, factors_of: Callable[[Examination], dict[int, tuple[float, float]]]
+) -> Finding | None:
+    """Finding of a robot file whose masses are in g or whose lengths are in mm: the torques of all joints are a
+    thousandth of the model's, or less, and the model is too heavy or too large for an arm."""
+    links = x.model.links
+    mass_kg, length_m = sum(link.mass for link in links), sum(float(np.linalg.norm(k.translation)) for k in links)
+    heavy, long = mass_kg > 500.0, length_m > 50.0
+    if not (heavy or long) or not x.rows.gravity.any():
+        return None
+    factors = [factor for factor, _ in factors_of(x).values()]
+    off = float(np.median(factors)) if factors else 1.0
+    if not 0.8e-6 < off < 2e-3 or max(factors) > 1.5 * min(factors):
+        return None
+    limits_nm = np.full(len(links), np.inf) if x.torque_limits_nm is None else x.torque_limits_nm
+    over = float((np.abs(x.rows.gravity).max(axis=0) / limits_nm).max())
+    times = f", up to {over:.2g} times the file's own torque limits" if over > 2 else ""
+    evidence = (
+        f"the model of the robot file weighs {mass_kg:.3g} kg and is {length_m:.2g} m long; its torques are "
+        f"{1 / off:.3g} times the measured ones at all {len(factors)} joints that show them{times}"
+    )
+    what = " and ".join(["masses in g, not kg"] * heavy + ["lengths in mm, not m"] * long)
+    return Finding("inertia-impossible", "fault", None, evidence, f"correct the robot file: it seems to have {what}")
+
+
 LEAST_KG = 0.3  # least mass of a load; less is a cable or an error of the links
 
 
@@ -260,7 +304,10 @@ def payload_of(x: Examination, strong: Sequence[int]) -> tuple[Finding, _core.Tr
     load, strong = fit_load(x.motion, x.model, x.rows), list(strong)
     gain = np.log(load.error_without_nm[strong] / load.error_nm[strong]).sum()
     sure = abs(load.mass_kg) > max(LEAST_KG, 5.0 * load.mass_error_kg)
-    if not strong or not sure or gain < 0.5 or np.linalg.norm(load.com_m) > 0.6:  # [m]; no tool is further out
+    # [m]; no tool is further out, none weighs less than nothing, and a load that is there makes no joint's error larger
+    possible = np.linalg.norm(load.com_m) <= 0.6 and load.mass_kg + x.model.links[-1].mass > 0
+    better = bool((load.error_nm[strong] < 1.05 * load.error_without_nm[strong]).all())
+    if not strong or not sure or gain < 0.5 or not possible or not better:
         return None
     changes = ", ".join(f"'{x.joints[j]}' {load.error_without_nm[j]:.3g} to {load.error_nm[j]:.3g}" for j in strong)
     what, advice = (

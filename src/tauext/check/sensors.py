@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,8 +12,10 @@ from tauext.check.examination import Examination
 from tauext.check.finding import Finding
 from tauext.check.motion import MOVING_RAD_S, repeated_rows
 from tauext.config import ObserverConfig
-from tauext.data.recording import Recording, runs_of
+from tauext.data.free_motion import cut
+from tauext.data.recording import TURN, Recording, runs_of
 from tauext.data.servo import derives_velocity, makes_torque, torque_unit
+from tauext.data.unmeasured import unmeasured
 
 # --- Saturated signals: many rows at one extreme.
 
@@ -62,16 +65,111 @@ def _faster_than_limit(recordings: Sequence[Recording], j: int, side: int, limit
     return False
 
 
+# --- Signals that are missing: a torque that is 0 below a threshold, or refreshed more slowly than the position.
+
+
+@dataclass(frozen=True)
+class Band:
+    """A torque's dead band."""
+
+    share: float  # of the samples in motion, in which the torque is 0
+    least: float  # smallest other torque, in the unit of tau
+
+
+def dead_band(recordings: Sequence[Recording], j: int) -> Band | None:
+    """Dead band of a joint's torque: 0 far more often, in motion, than any other value; None: it has none.
+
+    Rows in which all joints have no torque are left out: there it was not measured. A torque in coarse steps has other
+    values as often as 0.
+    """
+    if sum(int((r.tau[:, j] == 0).sum()) for r in recordings) < 5:
+        return None
+    parts = [r.tau[(np.abs(r.dq[:, j]) > MOVING_RAD_S) & (r.tau != 0).any(axis=1), j] for r in recordings]
+    tau = np.abs(np.concatenate(parts))
+    zero = tau == 0
+    if len(tau) < 100 or zero.mean() < 0.05 or zero.all():
+        return None
+    _, counts = np.unique(tau[~zero], return_counts=True)
+    if zero.sum() < 20 * counts.max():
+        return None
+    return Band(float(zero.mean()), float(np.percentile(tau[~zero], 1)))
+
+
+def dead_findings(x: Examination) -> Iterator[Finding]:
+    """Findings of torques that are 0 below a threshold."""
+    for j, joint in enumerate(x.joints if not any(map(makes_torque, x.recordings)) else ()):
+        band = dead_band(x.recordings, j)
+        if band is not None:
+            evidence = f"tau is 0 in {band.share:.0%} of the samples in motion, else {band.least:.3g} {x.unit} or more"
+            advice = (
+                "a dead band of the drive, or a threshold of its message: touches of less torque are not detected "
+                "there, and friction and gravity are hardly learned; record the unfiltered current, or lower the band"
+            )
+            yield Finding("dead-band", "warning", joint, evidence, advice)
+
+
+def refresh_rows(recordings: Sequence[Recording], signal: str, most_rows: int = 20_000) -> float:
+    """Usual number of rows from one new measurement of a signal to the next, in motion; 1: every row is one, or they
+    come without order."""
+    lengths = []
+    for r in (cut(r, slice(0, most_rows)) for r in recordings):
+        values, rows = getattr(r, signal), np.flatnonzero((np.abs(r.dq) > MOVING_RAD_S).any(axis=1)[1:])
+        changed = np.zeros(r.samples - 1, dtype=bool)
+        left = rows
+        for column in values.T:  # most rows drop out after the first column
+            new = column[left + 1] != column[left]
+            changed[left[new]] = True
+            left = left[~new]
+        at = np.flatnonzero(changed)
+        steps = np.diff(at)
+        # within one motion: rests in between are none of the refresh
+        resting = np.r_[0, np.cumsum(np.abs(r.dq).max(axis=1) <= MOVING_RAD_S)]
+        lengths.append(steps[resting[at[1:] + 1] == resting[at[:-1] + 1]])
+    steps = np.concatenate(lengths)
+    if len(steps) < 50:
+        return 1.0
+    usual = float(np.median(steps))
+    regular = np.abs(steps - usual) <= max(1.0, 0.25 * usual)
+    return float(steps[regular].mean()) if usual >= 2 and regular.mean() > 0.8 else 1.0
+
+
+def refresh_findings(x: Examination) -> Iterator[Finding]:
+    """Finding of a signal that is refreshed more slowly than the others."""
+    if any(map(makes_torque, x.recordings)):
+        return
+    names = {"q": "positions", "dq": "velocities", "tau": "torques"}
+    rows = {signal: refresh_rows(x.recordings, signal) for signal in names}
+    fastest = min(rows.values())
+    slow = [signal for signal, every in rows.items() if every > 1.5 * fastest]
+    if not slow:
+        return
+    rate_hz = x.recordings[0].rate_hz
+    evidence = "; ".join(f"{names[k]} are new in every {every:.3g} rows, {rate_hz / every:.3g} a second"
+                         for k, every in rows.items()).replace("every 1 rows", "every row")  # fmt: skip
+    advice = (
+        f"{' and '.join(names[k] for k in slow)} are refreshed more slowly than they are logged, and late by half of "
+        "that time: log them at the rate of the others, or all signals at the slowest rate"
+    )
+    yield Finding("refresh-slow", "warning", None, evidence, advice)
+
+
 # --- Stuck signals: constant while their joint turns.
 
 
 def stuck_findings(x: Examination) -> Iterator[Finding]:
-    """Findings of signals that have not changed by a bit while their joint turns."""
-    repeated = [repeated_rows(r) for r in x.recordings]
+    """Findings of signals that have not changed by a bit while their joint turns, or until they jump."""
+    bad = [unmeasured(r.t_ns, r.q, r.tau[:, : 0 if makes_torque(r) else None], TURN) for r in x.recordings]
+    yield from _unmeasured(x.recordings, bad)
+    repeated = [repeated_rows(r) | rows for r, rows in zip(x.recordings, bad, strict=True)]
     # the torque from a servo's counts stays 0 while the current is small: no fault
     counted = any(map(makes_torque, x.recordings))
+    dead = {one.joint for one in x.all_found if one.code == "dead-band"}
     for j, joint in enumerate(x.joints):
-        signals = ("q", "dq") if counted or _coarse_step(x.recordings, j) else ("q", "dq", "tau")
+        absent = _absent(x.recordings, j)
+        if absent is not None:
+            yield Finding("stuck", "fault", joint, *absent)
+        coarse = counted or joint in dead or absent is not None or _coarse_step(x.recordings, j) is not None
+        signals = ("q", "dq") if coarse else ("q", "dq", "tau")
         ends = {signal: _ends(x.recordings, signal, j) for signal in ("tau", "dq")}  # there it is saturated
         steps = [np.abs(np.diff(r.dq[:, j])) for r in x.recordings]
         least_rad_s = min(float(step[step > 0].min()) if step.any() else 0.0 for step in steps)
@@ -89,6 +187,34 @@ def stuck_findings(x: Examination) -> Iterator[Finding]:
                 "a driver that repeats its last value: check for lost packets of this joint; leave these stretches out"
             )
             yield Finding("stuck", "fault", joint, evidence, advice)
+
+
+def _unmeasured(recordings: Sequence[Recording], bad: Sequence[np.ndarray]) -> Iterator[Finding]:
+    """Findings of rows that a driver did not measure, of each recording."""
+    for r, rows in zip(recordings, bad, strict=True):
+        if not rows.any():
+            continue
+        runs = runs_of(rows)
+        first, after = runs[np.argmax(np.ptp(runs, axis=1))]
+        evidence = (
+            f"'{r.name}': {int(rows.sum())} samples are constant beside a jump that no motion makes, {len(runs)} "
+            f"time{'s' * (len(runs) > 1)}, the longest from {r.time_s[first]:.2f} to {r.time_s[after - 1]:.2f} s"
+        )
+        advice = "the driver measured nothing there: import the log again, which leaves these samples out"
+        yield Finding("stuck", "fault", None, evidence, advice, r.name)
+
+
+def _absent(recordings: Sequence[Recording], j: int) -> tuple[str, str] | None:
+    """Evidence and advice where a joint's torque has one value throughout, while the joint turns."""
+    value = recordings[0].tau[0, j]
+    turns = max(float(np.ptp(r.q[:, j])) for r in recordings) > 0.1
+    if not turns or any((r.tau[:, j] != value).any() for r in recordings):
+        return None
+    advice = (
+        "the log has no effort of this joint: a simulator or driver that gives none. Record the torque or the current "
+        "of its motor, or take the joint out of [robot] joints and lock it"
+    )
+    return f"tau is {value + 0.0:.5g} in all samples, while the joint turns", advice
 
 
 def _stuck(

@@ -198,6 +198,8 @@ def unlabelled_findings(
     known = np.concatenate([rules.rows.picked(moved, s.rate_hz) for moved, s in zip(gone, motion, strict=True)])
     if free.sum() < joint_fit.LEAST_ROWS:
         return []
+    if often := often_disturbed(rows.taken(free), recordings[0].joints, torque_unit(recordings)):
+        return often
     errors, friction = np.zeros_like(rows.tau), np.zeros_like(rows.tau)
     for j in range(rows.joints):
         columns = rows.columns(j)
@@ -229,6 +231,53 @@ def unlabelled_findings(
     what = "disturbance" if len(begins) == 1 else "disturbances"
     evidence = f"{len(begins)} {what} of the torque that the motion does not explain: {'; '.join(listed)}"
     advice = "inspect these times: keep contacts out of training and limits, by a label or by cutting the recording"
+    return [Finding("contact-in-free-motion", "warning", None, evidence, advice)]
+
+
+@dataclass(frozen=True)
+class OftenRules:
+    """When a torque is off in so much of the time that its usual error is that of a disturbance."""
+
+    fitted: float = 0.35  # share of the half seconds, those that agree best, to which the torque is fitted
+    quiet: float = 20.0  # percentiles of the half seconds' errors: one that a disturbance does not reach,
+    off: float = 75.0  # and one that it does
+    times: float = 15.0  # ratio of the two; good recordings, rough models included, reach 8
+    least: float = 0.05  # and least error, as a share of the torque's spread
+    rows_hz: float = 10.0
+    steps: int = 12
+
+
+def often_disturbed(rows: FitRows, joints: Sequence[str], unit: str, rules: OftenRules = OftenRules()) -> list[Finding]:
+    """Finding of torques that are off in a quarter to two thirds of the time; a fit to all of it follows both states.
+
+    The fit is to the half seconds that agree best among themselves. Errors are means over half seconds, of which noise
+    and reversals of friction are a small part.
+    """
+    thin = rows.thinned(max(1, round(len(rows.time_s) * rules.rows_hz / ContactRules().rows.rows_hz)))
+    starts, moves = half_seconds(thin)
+    if moves.sum() < 2 * ContactRules().least_windows:
+        return []
+    half = np.repeat(np.arange(len(starts)), np.diff(np.r_[starts, len(thin.time_s)]))
+    size, parts = np.bincount(half), []
+    for j in range(thin.joints):
+        columns, torque = thin.columns(j), thin.tau[:, j]
+        predicted = columns @ joint_fit.robust_solve(columns, torque)[0]
+        for _ in range(rules.steps):
+            error = np.bincount(half, np.abs(torque - predicted)) / size
+            trust = np.where(error <= np.quantile(error, rules.fitted), 1.0, 1e-9)[half]
+            predicted = columns @ joint_fit.solve(columns, torque, trust)
+        error = np.abs(np.bincount(half, torque - predicted) / size)[moves]
+        quiet, off = np.percentile(error, (rules.quiet, rules.off))
+        if off > rules.times * quiet and off > rules.least * float(torque.std()):
+            share = float((error > 0.5 * off).mean())
+            parts.append(f"'{joints[j]}' by {off:.3g} {unit} in {share:.0%} of the motion, by {quiet:.2g} {unit} else")
+    if not parts:
+        return []
+    advice = (
+        "contacts, or a load that comes and goes: limits found on this motion are as wide as these torques; label or "
+        "cut these times, or record motion that nothing touches"
+    )
+    evidence = f"the torque is often off, which the motion does not explain: {'; '.join(parts)}"
     return [Finding("contact-in-free-motion", "warning", None, evidence, advice)]
 
 

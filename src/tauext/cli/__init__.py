@@ -114,6 +114,7 @@ def understood(command: Callable[..., Any], prog: str, arguments: Sequence[str])
 
     from tauext.cli.arguments import TYPES
 
+    arguments = given_once(arguments, options_with_lists(command))
     markers = (tyro.conf.DisallowNone, tyro.conf.FlagCreatePairsOff)  # no {None} and no --no-json in the help
 
     @functools.wraps(command)
@@ -133,6 +134,52 @@ def understood(command: Callable[..., Any], prog: str, arguments: Sequence[str])
         raise ConfigError(added or f"{in_one_line(printed.getvalue())}; see `{prog} --help`") from None
     sys.stderr.write(printed.getvalue())
     return call
+
+
+def given_once(arguments: Sequence[str], lists: Collection[str]) -> list[str]:
+    """The arguments with the values of a repeated option behind its first; the parser would use the last alone.
+
+    Args:
+        lists: names of the options that take any number of values.
+
+    Raises:
+        ConfigError: another option is given twice.
+    """
+    groups, names = [[]], [""]  # type: tuple[list[list[str]], list[str]]
+    for word in arguments:
+        name, equals, value = word.partition("=")
+        if re.match(r"--?[A-Za-z]", name):
+            name = name.lower().replace("_", "-")
+            if name not in names:
+                groups.append([word])
+                names.append(name)
+                continue
+            if name.lstrip("-").rpartition(".")[2] not in lists:
+                raise ConfigError(f"{name} is given twice; give it once")
+            at = names.index(name)
+            first, assigned, before = groups[at][0].partition("=")
+            if assigned:
+                groups[at][:1] = [first, before]
+            groups.append(groups.pop(at))
+            names.append(names.pop(at))
+            groups[-1] += [value] if equals else []
+        else:
+            groups[-1].append(word)
+    return [word for group in groups for word in group]
+
+
+def options_with_lists(command: object) -> set[str]:
+    """Names of the options that take any number of values, in a command or in a class of its options."""
+    import typing
+
+    names: set[str] = set()
+    for name, hint in typing.get_type_hints(command).items() if command is not None else ():
+        for kind in (hint, *typing.get_args(hint)):
+            if typing.get_origin(kind) in (tuple, list) and (kind.__args__[-1] is ... or kind.__origin__ is list):
+                names.add(name.replace("_", "-"))
+            elif isinstance(kind, type) and getattr(kind, "__annotations__", None) and name != "return":
+                names |= options_with_lists(kind)
+    return names
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -29,6 +29,7 @@ from tauext.data.recording import (
     unwrapped,
 )
 from tauext.data.servo import AMPERES, FROM_AMPERES, TORQUE_WORDS, servo_facts, servo_settings, velocity_and_torque
+from tauext.data.unmeasured import UNMEASURED, unmeasured
 from tauext.errors import ConfigError, RecordingError
 
 # --- Columns of a raw recording that each signal uses, joint by joint.
@@ -469,6 +470,16 @@ def _cleaned(stream: str, table: Table, arm: Arm, columns: Columns, counts: Coun
     signals = [columns.signals[key] for key in REQUIRED_SIGNALS if key in columns.signals]
     measured = [k for at, indices in signals if at == stream for k in indices]
     if measured and len(t_ns):
+        own = {key: columns.signals[key][1] for key in ("q", "tau") if columns.signals.get(key, ("",))[0] == stream}
+        unit = arm.signals["q"].unit
+        bad = unmeasured(
+            t_ns,
+            values[:, own.get("q", [])],
+            values[:, own.get("tau", []) if arm.servo is None else []],
+            None if unit == NORMALISED else TURN / SIGNALS["q"].units[unit],
+        )
+        counts[UNMEASURED] += int(bad.sum())
+        t_ns, values = t_ns[~bad], values[~bad]
         keep = fresh(t_ns, values[:, measured], arm.time.repeats == "drop", counts)
         t_ns, values = t_ns[keep], values[keep]
     return t_ns, values

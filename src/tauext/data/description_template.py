@@ -29,7 +29,7 @@ GUESSES = {
     "dq": _usual(r"dq|qd|v|qvel|q_vel|qdot|q_dot|vel|velocity|velocities|speeds?|geschw(indigkeit)?|act_vel\w*")
     + r"|observation\.velocity",
     "tau": _usual(
-        r"tau(_?[jm])?|qfrc(_actuator|_applied|_motor)?|efforts?|eff|torques?|torq|trq|tq|act_torque\w*|currents?|i|m|"
+        r"tau(_?[jm])?|qfrc(_actuator|_applied|_motor)?|efforts?|eff|torques?|torq|trq|tq|act_torque\w*|current_as_torque|currents?|i|m|"
         r"(dreh)?moment[es]?|mom|str[oö]me?|motorstr[oö]me?"
     )
     + r"|observation\.effort",
@@ -146,6 +146,7 @@ def guess_values(guessed: Guess, raw: RawRecording) -> None:
         if block.stream == guessed.topic or not guessed.topic:
             _guess_clock(guessed, block, raw)
             _guess_degrees(guessed, block)
+            _guess_ur_effort(guessed, block)
             return
 
 
@@ -244,6 +245,32 @@ def _guess_degrees(guessed: Guess, block: RawSignals) -> None:
     if "dq" in guessed.columns:
         guessed.values["signals.dq.unit"] = f"{GUESSED}deg/s"
         guessed.why["signals.dq.unit"] = "the unit of the positions, if they are in degrees; rad/s is the other choice"
+
+
+UR_JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint")
+"""Ends of the names of five joints of every UR arm, by its ROS driver."""
+UR_EFFORT = (
+    "the UR driver gives motor currents as effort, or torques where use_currents_as_efforts is false (PolyScope 5.23 "
+    "and 10.11 on)"
+)
+MOST_UR_A = 10.0
+"""Largest current of a UR joint in usual motion, [A]; a shoulder's torque is larger in nearly any."""
+
+
+def _guess_ur_effort(guessed: Guess, block: RawSignals) -> None:
+    """Unit of the effort of a UR arm, by its size; `check` compares it with gravity."""
+    indices = _indices(guessed, block, "tau")
+    is_ur = all(any(name.endswith(joint) for name in guessed.joint_names) for joint in UR_JOINTS)
+    if not is_ur or not indices or _is_current(guessed.columns["tau"]):
+        return
+    largest = float(np.nanmax(np.abs(np.nan_to_num(block.columns[:, indices]))))
+    current = largest <= MOST_UR_A
+    if current:
+        guessed.values |= {"signals.tau.unit": "A", "signals.tau.torque_constant": "unknown"}
+    what = "a current" if current else "a torque"
+    guessed.why["signals.tau.unit"] = (
+        f"{UR_EFFORT}; values up to {largest:.3g} are {what}, and check compares with gravity"
+    )
 
 
 _HEADER = """\
@@ -427,7 +454,9 @@ def _is_part(group: str, names: Sequence[str]) -> bool:
 
 
 def _is_current(pattern: str) -> bool:
-    return re.fullmatch(r"\w*current\w*|\w*str[oö]me?|(\w*_)?i", _bare(pattern), re.IGNORECASE) is not None
+    return (
+        re.fullmatch(r"\w*current(?!_as_torque)\w*|\w*str[oö]me?|(\w*_)?i", _bare(pattern), re.IGNORECASE) is not None
+    )
 
 
 def _is_unsure(signal: str, pattern: str) -> bool:

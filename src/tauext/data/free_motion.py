@@ -79,10 +79,10 @@ def has_contact(recording: Recording) -> bool:
 def free_samples(recording: Recording, margins: FreeMotionConfig = FreeMotionConfig()) -> np.ndarray:  # noqa: B008
     """Whether each sample is free motion: no contact there nor within the margins, (samples,) bool.
 
-    Samples with an unknown label are not free, unless the whole recording is unlabelled.
+    Samples with an unknown label are not free; a recording without labels is.
     """
     contact = recording.contact
-    if contact is None or (contact == -1).all():
+    if contact is None:
         return np.ones(recording.samples, dtype=bool)
     return (contact == 0) & _far_from(contact == 1, recording.t_ns, margins.before_s, margins.after_s)
 

@@ -88,8 +88,7 @@ def overlay(labels: Iterable[Label], epoch: int, t_ns: np.ndarray, contact: np.n
 
     A touch has the margins of training around it, as unknown: it may lie in the next recording. Alarms without an
     answer are unknown with the same margins, suspects with SUSPECT_MARGINS. Where labels overlap, `touched` counts
-    first, then `unanswered`, `nothing`, `suspect`. If no sample of a recording is known, all are touched, since
-    recordings without any known label count as free.
+    first, then `unanswered`, `nothing`, `suspect`.
 
     Args:
         contact: of the recording itself; None: free throughout.
@@ -108,8 +107,6 @@ def overlay(labels: Iterable[Label], epoch: int, t_ns: np.ndarray, contact: np.n
         out[around] = np.where(out[around] == 1, 1, -1)
         if label.answer == "touched":
             out[slice(*np.searchsorted(t_ns, [label.from_ns, label.to_ns + 1]))] = 1
-    if len(out) and (out == -1).all():
-        out[:] = 1
     out.flags.writeable = False
     return out
 

@@ -13,6 +13,7 @@ from tauext.data.clock import SHARED_STAMPS, RowRules, Runs, Table, TwoClocks, e
 from tauext.data.description import TIME_UNITS, Arm
 from tauext.data.importers.raw import Lost, RawRecording, RawSignals, short_list
 from tauext.data.recording import REPEATED, SORTED, Recording
+from tauext.data.unmeasured import UNMEASURED
 from tauext.errors import RecordingError
 
 _LOCK = "take {joints} out of [robot] joints, and list it in locked and ignored there; or record it"
@@ -224,8 +225,9 @@ class RowReader:
         Args:
             counts: changes of this recording, by ordered().
         """
-        sentences = self._raw.lost.sentences() + [f"{counts[REPEATED]} {REPEATED}"] * bool(counts[REPEATED])
-        left_out = self._raw.lost.count + counts[REPEATED]
+        dropped = [text for text in (REPEATED, UNMEASURED) if counts[text]]
+        sentences = self._raw.lost.sentences() + [f"{counts[text]} {text}" for text in dropped]
+        left_out = self._raw.lost.count + sum(counts[text] for text in dropped)
         self._keep_lost()
         rows = recording.samples + left_out
         self._total.update(rows=recording.samples + counts[REPEATED], repeated=counts[REPEATED], sorted=counts[SORTED])
@@ -233,7 +235,7 @@ class RowReader:
             return recording
         facts = {"dropped": sentences, "dropped_share": round(left_out / rows, 6)}
         facts["sorted_share"] = round(counts[SORTED] / rows, 6)
-        done = [*sentences[: len(sentences) - bool(counts[REPEATED])], *recording.provenance["done"]]
+        done = [*sentences[: len(sentences) - len(dropped)], *recording.provenance["done"]]
         return replace(recording, provenance=recording.provenance | facts | {"done": done})
 
     def _keep_lost(self) -> None:

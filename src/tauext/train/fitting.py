@@ -238,7 +238,13 @@ def choose_gain(
         return setup, fit
     limits = {gain: limits_of_gain(run, *one) for gain, one in tried.items()}
     hit_nm = config.hit * limits[PAPER_GAIN_PER_S][0]
-    delay_s = {gain: mean_delay_s(gain, limit_nm, hit_nm, config) for gain, (_, limit_nm) in limits.items()}
+    errs = hit_nm > 0  # others rest without noise, and show no gain
+    if not errs.any():
+        run.facts["gain"] = {"chosen_per_s": PAPER_GAIN_PER_S, "reason": "no joint has an error"}
+        return setup, fit
+    delay_s = {
+        gain: mean_delay_s(gain, limit_nm[:, errs], hit_nm[errs], config) for gain, (_, limit_nm) in limits.items()
+    }
     chosen = simplest(list(delay_s), delay_s.__getitem__, config.worth)
     delays = ", ".join(f"{1e3 * delay:.0f} ms at {gain:g} 1/s" for gain, delay in delay_s.items())
     run.facts["gain"] = {

@@ -196,6 +196,7 @@ def training_motion(
             f"the dataset has no validation recordings: the last {VALIDATION_SHARE:.0%} of each training recording "
             f"({total_s(validation):.1f} s together) validate, {reach_s(config):g} s after the training motion"
         )
+    expect_known(training)
     expect_motion(learned_on, "training", config)
     expect_motion(validated_on, "validation", config)
     if stand.any():
@@ -227,6 +228,15 @@ def left_out_sentences(recordings: Sequence[Recording], config: TrainConfig) -> 
         f"{left_out_s:.1f} s are left out: in contact, {config.margins.before_s:g} s before one or "
         f"{config.margins.after_s:g} s after"
     ]
+
+
+def expect_known(recordings: Sequence[Recording]) -> None:
+    """Raise TrainingError where labels are there, and all of them say that the contact is unknown."""
+    if all(one.contact is not None and (one.contact == -1).all() for one in recordings):
+        raise TrainingError(
+            f"contact = -1, unknown, in all samples of {len(recordings)} training recordings, so none is known to be "
+            "free motion; label them, or leave the contact out at import if nothing touched the arm"
+        )
 
 
 def expect_motion(pieces: Sequence[Recording], what: str, config: TrainConfig) -> None:

@@ -223,7 +223,7 @@ def _seconds(suspects: Sequence[Suspect]) -> float:
 def is_unreported(recording: Recording) -> bool:
     """Whether nobody reported the touches of a recording: it has no labels, or labels of alarms alone."""
     contact = recording.contact
-    return contact is None or epoch_of(recording.provenance) is not None or bool((contact == -1).all())
+    return contact is None or epoch_of(recording.provenance) is not None
 
 
 def find_suspects(
@@ -315,14 +315,13 @@ def without_suspects(recordings: Sequence[Recording], suspects: Sequence[Suspect
         here = [one for one in here if one.span[0] <= recording.t_ns[-1] and one.span[1] >= recording.t_ns[0]]
         if here:
             contact = np.zeros(recording.samples, dtype=np.int8)
-            if recording.contact is not None and not (recording.contact == -1).all():
+            if recording.contact is not None:
                 contact[:] = recording.contact
             for one in here:
                 first, last = one.widened
                 around = slice(*np.searchsorted(recording.t_ns - one.begin_ns, (first, last + 1)))
                 contact[around] = np.where(contact[around] == 1, 1, -1)
-            # Recordings without any known label count as free.
-            recording = replace(recording, contact=np.full_like(contact, 1) if (contact == -1).all() else contact)
+            recording = replace(recording, contact=contact)
         changed.append(recording)
     return changed
 

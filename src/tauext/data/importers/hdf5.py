@@ -65,6 +65,8 @@ class Content:
     """Lists of texts."""
     objects: list[str] = field(default_factory=list)
     """MATLAB objects with their class."""
+    units: dict[tuple[str, ...], str] = field(default_factory=dict)
+    """Units that attributes of arrays state."""
 
     def add(self, path: tuple[str, ...], shape: Sequence[int], held: Any) -> None:
         """Add an array; one of a single number is a scalar."""
@@ -216,7 +218,8 @@ def recordings(path: Path, kind: str, separator: str, content: Content, opened: 
         above = {one.path[:depth] for one in used for depth in range(len(one.path) + 1)}
         rates = {entry: stated_hz(entry[-1], value) for entry, value in content.scalars.items() if entry[:-1] in above}
         stated = {separator.join(entry): hz for entry, hz in rates.items() if hz}
-        found.append(RawRecording(stem, path, kind, blocks, notes, stated_hz=stated))
+        units = {names[one.path]: content.units[one.path] for one in used if one.path in content.units}
+        found.append(RawRecording(stem, path, kind, blocks, notes, stated_hz=stated, units=units))
     if not found:
         raise RecordingError(f"{path}: {refused[0] if refused else _no_signals(content.arrays)}")
     if refused:
@@ -392,6 +395,8 @@ class _Walk:
         for name in item.attrs:
             value = item.attrs.get(name)
             self.number((*path, str(name)), value)
+            if re.fullmatch(r"units?", str(name), re.IGNORECASE) and np.ndim(value) == 0:
+                self.content.units[path] = _word(value)
             if JOINT_NAMES.fullmatch(str(name)) and np.ndim(value) == 1:
                 self.content.words[(*path, str(name))] = tuple(map(_word, value))
 

@@ -379,6 +379,64 @@ CASES += [
         said="600 samples dropped: stamp and values repeat the sample before",
     ),
 ]
+
+
+def between(log: Log, other: Log, every_other: int = 2) -> Log:
+    """Rows of another writer after each of the log's, with stamps of their own, between them or equal."""
+    step = PERIOD_NS // every_other
+    parts = [replace(log), *(replace(other, t_ns=log.t_ns + step * (k + 1)) for k in range(every_other - 1))]
+    order = np.argsort(np.concatenate([one.t_ns for one in parts]), kind="stable")
+    joined = {a: np.concatenate([getattr(one, a) for one in parts])[order] for a in ("t_ns", "q", "dq", "tau")}
+    return replace(log, **joined)
+
+
+def zeros(log: Log) -> Log:
+    return replace(log, q=0 * log.q, dq=0 * log.dq, tau=0 * log.tau)
+
+
+def away(log: Log) -> Log:
+    """The log far from zero, so that a writer of zeros is another one."""
+    return replace(log, t_ns=log.t_ns + 10**9, q=log.q + 0.5)
+
+
+def joined_stretches(log: Log) -> Log:
+    """Six stretches of 100 rows in another order, with the stamps of one."""
+    order = np.concatenate([np.arange(100) + 100 * k for k in (0, 3, 5, 1, 4, 2)])
+    return replace(log.rows(order), t_ns=log.t_ns)
+
+
+STRETCHES = [slice(100 * k, 100 * (k + 1)) for k in (0, 3, 5, 1, 4, 2)]
+CASES += [
+    # --- Rows of several origins
+    Case(
+        "a second writer of zeros",
+        lambda log: between(away(log), zeros(log)),
+        (*TABLE_LIKE, *BAGS),
+        refused="alternate between two writers: one has positions of .*, the other zeros",
+    ),
+    Case(
+        "two further rows of zeros",
+        lambda log: between(away(log), zeros(log), 3),
+        (*TABLE_LIKE, *BAGS),
+        refused="alternate between two writers",
+    ),
+    Case(
+        "a second arm",
+        lambda log: between(log, replace(log, q=-log.q - 1)),
+        (*TABLE_LIKE, *BAGS),
+        refused="alternate between two writers: one has positions of .*, the other positions of",
+    ),
+    Case("joined stretches", joined_stretches, runs=STRETCHES, clock=False, said="stretches of 100 rows were joined"),
+    Case(
+        "joined stretches without a clock",
+        joined_stretches,
+        TABLE_LIKE,
+        arm=BY_RATE,
+        runs=STRETCHES,
+        clock=False,
+        said="stretches of 100 rows were joined",
+    ),
+]
 CELLS = [pytest.param(case, kind, id=f"{case.name}-{kind}") for case in CASES for kind in case.formats]
 
 

@@ -309,7 +309,10 @@ JOINTS = ("JointState", "DynamicJointState", "JointStates", "FrankaRobotState", 
 
 
 def chosen_topics(path: Path, channels: Iterable[Channel], topics: Sequence[str]) -> tuple[str, ...]:
-    """Return the topics named, else the only one of type JointState with messages, or of another type in JOINTS."""
+    """Return the topics named, else those of type JointState with messages, or of another type in JOINTS.
+
+    Of several, the description names the arm's.
+    """
     there: dict[str, tuple[str, int]] = {}
     for channel in channels:
         count = there.get(channel.topic, ("", 0))[1]
@@ -337,13 +340,7 @@ def chosen_topics(path: Path, channels: Iterable[Channel], topics: Sequence[str]
             f"{path}: no topic of type sensor_msgs/JointState with messages; it has {listed}. A trajectory is "
             "planned motion, not measured; another topic with measured signals can be named in arm.toml (topic = ...)"
         )
-    found = by_type[kind]
-    if len(found) > 1:
-        raise RecordingError(
-            f"{path}: {len(found)} topics are of type {there[found[0]][0].replace('/msg/', '/')}: "
-            f"{', '.join(sorted(found))}; name the one of each signal in arm.toml (topic = ...)"
-        )
-    return tuple(found)
+    return tuple(sorted(by_type[kind]))
 
 
 def expect_encodings(path: Path, channels: Iterable[Channel]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,11 +15,12 @@ from tauext.check.examination import Examination
 from tauext.check.finding import Finding, Severity
 from tauext.check.joint_fit import FitRows
 from tauext.check.motion import Stretch
+from tauext.check.sensors import noise_nm
 from tauext.data.importers.raw import short_list
 from tauext.errors import RobotError
 from tauext.robot.compile import LEAST
 from tauext.robot.inertial import point_inertia, six_of, with_more_at_end
-from tauext.robot.read import CarriedBody, carried_bodies, load_tree, movable_joints, robot_sha256
+from tauext.robot.read import CarriedBody, carried_bodies, load_tree, movable_joints, robot_sha256, tree_with_inertias
 from tauext.robot.torque_limits import torque_limits
 from tauext.robot.xml_file import read_xml
 
@@ -42,7 +43,19 @@ def position_limits(path: Path, joints: Sequence[str]) -> np.ndarray:
     return limits
 
 
-def model_findings(bodies: Sequence[CarriedBody], negligible: float = 1e-3) -> Iterator[Finding]:
+CORRECT = "correct the file: take it from the CAD model, about the centre of mass, in kg m^2 (not kg mm^2)"
+
+
+@dataclass(frozen=True)
+class ImpossibleInertia:
+    """A link with an inertia that no body can have, though it is finite, and what it changes can be computed."""
+
+    joint: str
+    evidence: str
+    body: CarriedBody
+
+
+def model_findings(bodies: Sequence[CarriedBody], negligible: float = 1e-3) -> Iterator[Finding | ImpossibleInertia]:
     """Findings on masses and inertias of the links that joints in use move: notes where the link's share of what the
     joint moves is negligible, so that nothing changes."""
     for joint in dict.fromkeys(body.joint for body in bodies):
@@ -53,13 +66,14 @@ def model_findings(bodies: Sequence[CarriedBody], negligible: float = 1e-3) -> I
                 yield Finding("inertia-impossible", "fault", joint, evidence, "it must be > 0")
             problem = _impossible(body.inertia_kg_m2) if body.mass_kg > LEAST else None
             if problem:
-                little = _share(body, carried) <= negligible
-                nothing = f"; below {negligible:.1%} of what the joint moves, it changes nothing" if little else ""
-                evidence = f"link '{body.name}': {problem}{nothing}"
-                advice = (
-                    "correct the file: take it from the CAD model, about the centre of mass, in kg m^2 (not kg mm^2)"
-                )
-                yield Finding("inertia-impossible", "note" if little else "fault", joint, evidence, advice)
+                evidence = f"link '{body.name}': {problem}"
+                if _share(body, carried) <= negligible:
+                    evidence += f"; below {negligible:.1%} of what the joint moves, it changes nothing"
+                    yield Finding("inertia-impossible", "note", joint, evidence, CORRECT)
+                elif np.isfinite(body.inertia_kg_m2).all():
+                    yield ImpossibleInertia(joint, evidence, body)
+                else:
+                    yield Finding("inertia-impossible", "fault", joint, evidence, CORRECT)
         if all(abs(body.mass_kg) <= LEAST for body in carried):
             evidence = f"link '{carried[0].name}' and links fixed to it have no mass"
             advice = "give it its mass, centre of mass and inertia"
@@ -82,8 +96,68 @@ def _impossible(inertia: np.ndarray) -> str | None:
         return f"{values}: not positive"
     # share by which a rounded principal inertia may exceed the sum of the others
     if principal[2] > (principal[0] + principal[1]) * (1 + 1e-3):
-        return f"{values}: the largest exceeds the sum of the others"
+        excess = principal[2] / (principal[0] + principal[1]) - 1
+        return f"{values}: the largest exceeds the sum of the others by {excess:.2g} of it"
     return None
+
+
+def inertia_findings(x: Examination) -> Iterator[Finding]:
+    """Findings of inertias that no body can have, by what they change in the torques of this motion.
+
+    The inertia is compared with the nearest possible one, whose smaller two principal moments are larger by half of the
+    excess each. The recordings can show no less than the error that the fit leaves, the torque's noise, and 2 % of its
+    spread: an effect below them is a note.
+    """
+    if not x.impossible:
+        return
+    assert x.robot is not None
+    shown_nm, given = _shown_nm(x), x.rows.model if x.motion else None
+    for one in x.impossible:
+        possible = None if given is None else _tree_with(x, {one.body.name: possible_inertia(one.body)})
+        if possible is None or given is None:
+            advice = f"{CORRECT}; no joint moves, so that what it changes is not known"
+            yield Finding("inertia-impossible", "note", one.joint, one.evidence, advice)
+            continue
+        effect_nm = np.abs(x.rows.with_model(x.motion, possible).model - given).max(axis=0, initial=0.0)
+        worst = int(np.argmax(effect_nm / shown_nm))
+        against = f"{shown_nm[worst]:.2g} Nm, what these recordings can show there"
+        changes = f"in this motion, it changes the torque of '{x.joints[worst]}' by up to {effect_nm[worst]:.2g} Nm"
+        if effect_nm[worst] > shown_nm[worst]:
+            evidence = f"{one.evidence}; {changes}, more than {against}"
+            yield Finding("inertia-impossible", "fault", one.joint, evidence, CORRECT)
+        else:
+            evidence = f"{one.evidence}; {changes}, less than {against}"
+            yield Finding("inertia-impossible", "note", one.joint, evidence, "no action is needed")
+
+
+def possible_inertia(body: CarriedBody, density_kg_m3: float = 1000.0) -> np.ndarray:
+    """The nearest principal moments that the body can have, (3,), [kg m^2]: no principal second moment of its mass,
+    half of the sum of two moments less the third, is negative.
+
+    A mass without an inertia, as many files have for a sensor or a flange, has that of a sphere of this density.
+    """
+    principal = body.inertia_kg_m2
+    sphere = 0.4 * body.mass_kg * (3 * body.mass_kg / (4 * math.pi * density_kg_m3)) ** (2 / 3)
+    if np.abs(principal).max() < 1e-3 * sphere:
+        return np.full(3, sphere)
+    second = np.maximum(principal.sum() / 2 - principal, 0.0)
+    nearest: np.ndarray = second.sum() - second
+    return nearest
+
+
+def _shown_nm(x: Examination) -> np.ndarray:
+    """Least effect that the recordings can show, (joints,), [N m]."""
+    tau = np.concatenate([r.tau for r in x.recordings])
+    error_nm = np.array([fit.error_nm for fit in x.fits]) if x.has_fit else np.zeros(len(x.joints))
+    return np.maximum.reduce(
+        [error_nm, noise_nm(x.recordings), joint_fit.SEEN * tau.std(axis=0), np.full(tau.shape[1], 1e-9)]
+    )
+
+
+def _tree_with(x: Examination, inertias: Mapping[str, np.ndarray]) -> _core.Tree:
+    """The examination's tree with other principal moments of these links."""
+    assert x.robot is not None
+    return tree_with_inertias(x.robot, list(x.model_joints), x.gravity, inertias)
 
 
 # --- The robot file: a tree where it can be loaded, else findings of its faults.
@@ -116,13 +190,15 @@ def file_findings(x: Examination) -> Iterator[Finding]:
             evidence = f"{', '.join(unknown)} are not in {path.name}; its joints are {', '.join(known)}"
             yield Finding("joint-names", "fault" if foreign else "warning", None, evidence, advice)
         if not (unknown and foreign):
-            found = list(model_findings(carried_bodies(path, names)))
+            judged = list(model_findings(carried_bodies(path, names)))
+            found = [one for one in judged if isinstance(one, Finding)]
             yield from found
             # what a wrong model does not explain is no finding
             if not any(finding.severity == "fault" for finding in found):
                 tree, limits_rad = load_tree(path, names, gravity=x.gravity), position_limits(path, names)
                 x.torque_limits_nm = torque_limits(path, names)
-                x.tree, x.position_limits_rad = tree, limits_rad
+                x.tree, x.position_limits_rad, x.model_joints = tree, limits_rad, tuple(names)
+                x.impossible = [one for one in judged if isinstance(one, ImpossibleInertia)]
     except RobotError as error:
         advice = "correct the file, or check without --robot"
         yield Finding("model-unusable", "fault", None, str(error), advice)

@@ -414,6 +414,8 @@ def deserializer(channel: Channel) -> Callable[[bytes], Any]:
 # --- Files: one, or those in the folder of a ROS 2 bag.
 
 
+MOST_METADATA = 1 << 24
+"""Characters of metadata.yaml that are read; a bag of ten thousand files has a tenth of it."""
 MOST_OF_DISK = 0.5
 """Share of the free disk space that an unpacked bag may take."""
 KINDS: dict[bytes, Callable[[Path], BagFile]] = {
@@ -506,9 +508,10 @@ def _named_files(metadata: Path) -> list[str]:
     from ruamel.yaml.error import YAMLError
 
     try:
-        content = YAML(typ="safe").load(metadata.read_text())
+        with metadata.open(encoding="utf-8") as file:
+            content = YAML(typ="safe").load(file.read(MOST_METADATA))
         return [Path(name).name for name in content["rosbag2_bagfile_information"]["relative_file_paths"]]
-    except (YAMLError, OSError, KeyError, TypeError, UnicodeDecodeError) as error:
+    except (YAMLError, OSError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise RecordingError(f"{metadata}: not the metadata of a ROS 2 bag ({type(error).__name__})") from error
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import h5py
@@ -36,12 +37,23 @@ class Log:
     """Log times of a bag; None: the stamps."""
     timestamp_s: np.ndarray | None = None
     """LeRobot's column; None: the stamps."""
+    titles: tuple[str, str, str, str] = ("time", "q_{joint}", "dq_{joint}", "tau_{joint}")
+    """Columns of a table, with {joint} or {number}."""
+    more: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Further columns of a table."""
+    time_factor: float = 1e-9
+    """Unit of the column of times, for stamps in ns."""
+    one_state: bool = False
+    """Whether LeRobot's state has all signals: `shoulder.pos`, `shoulder.vel`, `shoulder.torque`."""
+    goal_first: float = 0.0
+    """Goals of LeRobot are positions, and this."""
 
     def rows(self, keep) -> Log:
         """These rows, in this order."""
         parts = {name: getattr(self, name)[keep] for name in ("t_ns", "q", "dq", "tau")}
+        parts["more"] = {name: values[keep] for name, values in self.more.items()}
         log_ns = self.log_ns[keep] if self.log_ns is not None else None
-        return replace(self, log_ns=log_ns, **parts)
+        return replace(self, log_ns=log_ns, **parts)  # type: ignore[arg-type]
 
 
 def clean_log(samples: int = 600, rate_hz: float = 50.0) -> Log:
@@ -76,9 +88,13 @@ def write(kind: str, folder: Path, log: Log) -> Path:
     if kind in BAGS:
         return _write_bag(kind, folder / "log", log)
     arrays = {"q": log.q, "dq": log.dq, "tau": log.tau}
-    time_s = log.t_ns * 1e-9
+    time_s = log.t_ns * log.time_factor
     if kind in TABLES:
-        columns = {"time": time_s} | {f"{a}_{n}": v[:, k] for a, v in arrays.items() for k, n in enumerate(log.names)}
+        columns = {log.titles[0]: time_s}
+        for title, values in zip(log.titles[1:], arrays.values(), strict=True):
+            for k, name in enumerate(log.names):
+                columns[title.replace("{joint}", name).replace("{number}", str(k + 1))] = values[:, k]
+        columns |= log.more
         if kind == "parquet":
             pq.write_table(pa.table(columns), path := folder / "log.parquet")
             return path
@@ -134,6 +150,13 @@ def _write_matlab73(path: Path, arrays: dict[str, np.ndarray]) -> Path:
 
 def _write_lerobot(kind: str, folder: Path, log: Log, arrays: dict[str, np.ndarray]) -> Path:
     features = {"q": "observation.state", "dq": "observation.velocity", "tau": "observation.effort"}
+    elements = {feature: list(log.names) for feature in features.values()}
+    if log.one_state:
+        goal = log.q + log.goal_first
+        arrays = {"q": np.stack([log.q, log.dq, log.tau], axis=2).reshape(len(log.q), -1), "goal": goal}
+        features = {"q": "observation.state", "goal": "action"}
+        kinds = {"observation.state": ("pos", "vel", "torque"), "action": ("pos",)}
+        elements = {f: [f"{name}.{kind}" for name in log.names for kind in of] for f, of in kinds.items()}
     frames = np.arange(len(log.q))
     times = log.t_ns * 1e-9 if log.timestamp_s is None else log.timestamp_s
     scalars = {"timestamp": times.astype(np.float32), "frame_index": frames, "episode_index": 0 * frames}
@@ -142,9 +165,7 @@ def _write_lerobot(kind: str, folder: Path, log: Log, arrays: dict[str, np.ndarr
     data = "data/chunk-000/episode_000000.parquet" if version == "v2.1" else "data/chunk-000/file-000.parquet"
     (folder / data).parent.mkdir(parents=True)
     pq.write_table(pa.table(table | {n: pa.array(v) for n, v in scalars.items()}), folder / data)
-    described = {
-        f: {"dtype": "float64", "shape": [len(log.names)], "names": list(log.names)} for f in features.values()
-    }
+    described = {f: {"dtype": "float64", "shape": [len(of)], "names": of} for f, of in elements.items()}
     described |= {name: {"dtype": str(v.dtype), "shape": [1], "names": None} for name, v in scalars.items()}
     info = {"codebase_version": version, "fps": 50, "features": described, "chunks_size": 1000, "total_episodes": 1}
     (folder / "meta").mkdir()

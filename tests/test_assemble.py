@@ -520,3 +520,83 @@ def test_the_template_asks_for_a_position_and_a_velocity_that_no_name_shows():
     with pytest.raises(ConfigError, match=r"\[signals.dq\] columns has '\?'"):
         parse_arm(text)
     assert not parse_arm(text.replace('"?"', '""')).signals["dq"].columns
+
+
+def named(*patterns: str, joints=("shoulder", "elbow")) -> list[str]:
+    """Columns of two joints: {j} is a name, {i} a number."""
+    found = []
+    for pattern in patterns:
+        several = "{" in pattern
+        found += [pattern.format(j=joint, i=k + 1) for k, joint in enumerate(joints)] if several else [pattern]
+    return list(dict.fromkeys(found))
+
+
+STATE = "observation.state"
+NAMES = {
+    "units in brackets": (
+        named("Time (s)", "q{i} [rad]", "dq{i} [rad/s]", "c{i} (mA)"),
+        {"q": "q{number} [rad]", "dq": "dq{number} [rad/s]", "tau": "c{number} (mA)"},
+        {"time": "s", "q": "rad", "dq": "rad/s", "tau": "mA"},
+    ),
+    "units at the end": (
+        named("timestamp_us", "position_{i}_rad", "velocity_{i}_rad_s", "current_{i}_A"),
+        {"q": "position_{number}_rad", "dq": "velocity_{number}_rad_s", "tau": "current_{number}_A"},
+        {"time": "us", "q": "rad", "dq": "rad/s", "tau": "A"},
+    ),
+    "units in humps": (
+        named("t", "ActualJointPos{i}Deg", "JointTorque{i}mNm"),
+        {"q": "ActualJointPos{number}Deg", "tau": "JointTorque{number}mNm"},
+        {"q": "deg", "tau": "mNm"},
+    ),
+    "a letter is no unit of another signal": (
+        named("position[{j}]", "effort[{j}]", joints=("a", "s")),
+        {"q": "position", "tau": "effort"},
+        {},
+    ),
+    "goal and measured of one joint": (
+        ["time", "q_des", "q_act", "dq_des", "dq_act", "ddq_des", "torque"],
+        {"q": "q_act", "dq": "dq_act", "tau": "torque", "q_des": "q_des"},
+        {},
+    ),
+    "goal and measured of named joints": (
+        named("{j}_des_pos", "{j}_act_pos", "{j}_act_vel", "{j}_torque"),
+        {"q": "{joint}_act_pos", "dq": "{joint}_act_vel", "tau": "{joint}_torque", "q_des": "{joint}_des_pos"},
+        {},
+    ),
+    "a state of several signals": (
+        named(*(f"{STATE}[{{j}}.{kind}]" for kind in ("pos", "vel", "torque")), "action[{j}.pos]", "goal[{j}.pos]"),
+        {f"{signal}": f"{STATE}[{{joint}}.{kind}]" for signal, kind in (("q", "pos"), ("dq", "vel"), ("tau", "torque"))}
+        | {"q_des": "goal[{joint}.pos]"},
+        {},
+    ),
+    "a torque of one arm": (
+        named(f"{STATE}[{{j}}.pos]", "observation.torque.left[{j}]", "goal[{j}.pos]"),
+        {"q": STATE, "tau": "observation.torque.left", "q_des": "goal"},
+        {},
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", NAMES)
+def test_names_state_signals_units_and_goals(kind):
+    names, columns, units = NAMES[kind]
+    found = guess({"": names})
+    assert {name: column for name, column in found.columns.items() if name != "time"} == columns
+    assert found.units == units
+    assert not found.values.get("servo.torque_from") and found.joint_names != ("des", "act")
+
+
+def test_what_names_leave_open_is_a_question():
+    both = guess({"": named("motor_position_{i}", "joint_position_{i}", "tau_{i}")})
+    assert both.values["signals.q.columns"] == "?joint_position_{number}"
+    assert "motor_position_{number} would fit, too" in both.why["signals.q.columns"]
+    arms = guess({"": named("left_q{i}", "right_q{i}", "left_tau{i}", "right_tau{i}")})
+    assert arms.values["signals.q.columns"] == "?left_q{number}" and arms.columns["tau"] == "left_tau{number}"
+    unknown = guess({"": named(f"{STATE}[{{j}}.pos]", "observation.last[{j}]", "goal[{j}.pos]")})
+    assert unknown.values["servo.torque_from"] == "?goal" and unknown.unused == ["observation.last"]
+
+
+def test_a_line_of_units_counts_as_names_do():
+    names = named("time", "q{i}", "dq{i}", "tau{i}")
+    stated = {"time": "[ms]", "q1": "deg", "q2": "deg", "dq1": "deg/s", "dq2": "deg/s", "tau1": "Nm", "tau2": "Nm"}
+    assert guess({"": names}, (), stated).units == {"time": "ms", "q": "deg", "dq": "deg/s", "tau": "Nm"}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from itertools import count
 
 import numpy as np
 import pytest
@@ -12,7 +14,8 @@ from made_recordings import made_motion
 from tauext.check.checks import EXPLAINED, causes_only
 from tauext.check.examine import examine, quick_checks
 from tauext.check.finding import CODES, Finding
-from tauext.robot.read import load_tree
+from tauext.check.robot_file import possible_inertia
+from tauext.robot.read import CarriedBody, load_tree
 
 
 def codes(recordings, robot) -> set[str]:
@@ -73,3 +76,29 @@ def test_the_table_of_causes_hides_what_they_explain():
     assert [f.code for f in causes_only([*found, order])] == ["joint-order", "stuck"]
     only_warned = replace(order, severity="warning")
     assert len(causes_only([*found, only_warned])) == 4
+
+
+@pytest.mark.parametrize(("excess", "severity"), [(0.09, "note"), (30.0, "fault")])
+def test_an_impossible_inertia_is_a_fault_where_its_effect_shows(arm, tmp_path, excess, severity):
+    """The largest moment of a link's inertia exceeds the sum of the others; the torques are those of the true file."""
+    robot, _, recordings = arm
+    number = count(1)
+
+    def third(match: re.Match) -> str:
+        if next(number) != 3:
+            return match[0]
+        return f'<inertia ixx="0.02" iyy="0.03" izz="{0.05 * (1 + excess)}" ixy="0" ixz="0" iyz="0"/>'
+
+    path = tmp_path / "arm.urdf"
+    path.write_text(re.sub(r"<inertia .*?/>", third, robot.read_text()))
+    (one,) = [f for f in examine(recordings, path).findings if f.code == "inertia-impossible"]
+    assert one.severity == severity
+    assert re.search(r"exceeds the sum of the others by .* it changes the torque of '\w+' by up to .* Nm", one.evidence)
+
+
+def test_the_nearest_possible_inertia_keeps_what_is_possible_and_shares_the_excess():
+    for given, nearest in (([1.0, 2.0, 2.5], [1.0, 2.0, 2.5]), ([1.0, 2.0, 3.4], [1.2, 2.2, 3.4])):
+        np.testing.assert_allclose(possible_inertia(CarriedBody("l", "j", 5.0, np.array(given))), nearest)
+    # A litre of water as a sphere: r = 62.04 mm.
+    ball = possible_inertia(CarriedBody("l", "j", 1.0, np.zeros(3)))
+    np.testing.assert_allclose(ball, 0.4 * 0.06204**2, rtol=1e-3)

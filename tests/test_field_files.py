@@ -7,7 +7,9 @@ message.
 
 from __future__ import annotations
 
+import json
 import re
+import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,6 +18,8 @@ import numpy as np
 import pytest
 from made_files import ARRAYS, BAGS, FORMATS, JOINTS, LEROBOT, NAMED, TABLES, Log, arm_text, clean_log, write
 
+from tauext.cli.recordings import write_template
+from tauext.data.description import open_entries
 from tauext.data.importing import import_dataset
 from tauext.data.recording_file import load_recording
 from tauext.errors import TauextError
@@ -47,6 +51,13 @@ class Case:
     """Of the clean log's positions and velocities, joint by joint; empty: none."""
     clock: bool = True
     """Whether the stamps are those of the clean log; else only their steps."""
+    asked: tuple[str, ...] | None = None
+    """The description is the one that `import --new` writes, once the entries that it marks are confirmed: these and no
+    others. None: the one of arm_text()."""
+    unused: str = ""
+    """Columns that `import --new` lists as not in use."""
+    close: float = 0.0
+    """Relative error of values that a unit changes twice."""
 
 
 FAR = (4.0, 1.0, 5.0)
@@ -216,17 +227,241 @@ CASES = [
         refused="wrist has no signal, and the recording's joint3 is not used; perhaps 'joint3' is 'wrist'",
     ),
 ]
+DEG = 180 / np.pi
+IN_DEGREES = every(q=lambda log: log.q * DEG, dq=lambda log: log.dq * DEG)
+
+
+def titled(*titles: str, change: Callable[[Log], Log] = lambda log: log, **more) -> Callable[[Log], Log]:
+    """The log with these titles of its columns, and more columns that are functions of the log."""
+
+    def titled_log(log: Log) -> Log:
+        changed = replace(change(log), titles=titles)
+        return replace(changed, more={name.replace("__", " "): of(log) for name, of in more.items()})
+
+    return titled_log
+
+
+def epoch(unit: float, hz: float = 50.0) -> Callable[[Log], Log]:
+    """The log from March 2026 on, with times in this unit [s]."""
+    start_ns = 1_772_000_000 * 10**9
+
+    def since_1970(log: Log) -> Log:
+        return replace(log, t_ns=start_ns + (log.t_ns - log.t_ns[0]), time_factor=1e-9 / unit)
+
+    return since_1970
+
+
+TWICE = np.repeat(np.arange(600), 2)
+WHEELS = joints(
+    (*JOINTS, "wheel_left", "wheel_right"), lambda a: np.c_[a, np.linspace(0, 900, 600), np.linspace(0, -900, 600)]
+)
+CASES += [
+    # --- Columns and units that the file states, by `import --new`
+    Case("the description is guessed", formats=NAMED, asked=()),
+    Case(
+        "units in brackets",
+        titled("Time [sec]", "q_{joint} (deg)", "qd_{joint} (deg/s)", "tau_{joint} [N m]", change=IN_DEGREES),
+        TABLES,
+        asked=(),
+        close=1e-13,
+    ),
+    Case(
+        "units in brackets of numbered joints",
+        titled("t (s)", "q{number} act [deg]", "dq{number} act [deg/s]", "torque{number} [Nm]", change=IN_DEGREES),
+        TABLES,
+        asked=(),
+        close=1e-13,
+    ),
+    Case(
+        "units after the names",
+        titled("time_s", "pos_deg_{number}", "vel_deg_s_{number}", "effort_Nm_{number}", change=IN_DEGREES),
+        TABLES,
+        asked=(),
+        close=1e-13,
+    ),
+    Case(
+        "millinewton metres",
+        titled("time", "q_{joint}", "dq_{joint}", "tau_{joint} (mNm)", change=every(tau=lambda log: log.tau * 1e3)),
+        TABLES,
+        asked=(),
+        close=1e-13,
+    ),
+    Case(
+        "torques that only their unit shows",
+        titled("time", "q{number}", "dq{number}", "y{number} (Nm)"),
+        TABLES,
+        asked=(),
+    ),
+    Case(
+        "milliseconds in the name",
+        titled("Time (ms)", "q{number}", "dq{number}", "tau{number}", change=every(time_factor=lambda log: 1e-6)),
+        TABLES,
+        asked=(),
+    ),
+    Case(
+        "goals beside what is measured",
+        titled(
+            "time",
+            "q_act_{joint}",
+            "dq_act_{joint}",
+            "tau_{joint}",
+            **{f"q_des_{j}": (lambda log, k=k: log.q[:, k] + 1) for k, j in enumerate(JOINTS)},
+        ),
+        TABLES,
+        asked=(),
+    ),
+    Case(
+        "numbered goals beside what is measured",
+        titled(
+            "time",
+            "q_act_{number}",
+            "dq_act_{number}",
+            "tau_{number}",
+            **{f"q_des_{k + 1}": (lambda log, k=k: log.q[:, k] + 1) for k in range(3)},
+        ),
+        TABLES,
+        asked=(),
+    ),
+    Case(
+        "positions of the motors beside the joints'",
+        titled(
+            "time",
+            "joint_position_{number}",
+            "velocity_{number}",
+            "tau_{number}",
+            **{f"motor_position_{k + 1}": (lambda log, k=k: log.q[:, k] * 100) for k in range(3)},
+        ),
+        TABLES,
+        asked=("signals.q columns",),
+        unused=r"not in use: motor_position_\{number\}",
+    ),
+    Case(
+        "further columns",
+        titled(
+            "time",
+            "q{number}",
+            "dq{number}",
+            "tau{number}",
+            stage=lambda log: 0 * log.q[:, 0],
+            ddq__des=lambda log: log.q[:, 0],
+        ),
+        TABLES,
+        asked=(),
+        unused="not in use: stage, ddq des",
+    ),
+    Case(
+        "wheels turn by far",
+        WHEELS,
+        NAMED,
+        robot=JOINTS,
+        asked=(),
+        said="joints not in use: wheel_left, wheel_right of the recording",
+    ),
+    Case("one state of all signals", every(one_state=lambda log: True, goal_first=lambda log: 0.5), LEROBOT, asked=()),
+    Case(
+        "one state of all signals, in degrees",
+        lambda log: replace(IN_DEGREES(log), q=log.q * DEG * 20, dq=log.dq * DEG * 20, one_state=True),
+        LEROBOT,
+        asked=("signals.q unit",),
+        factor=(20.0, 20.0, 20.0),
+        close=1e-13,
+    ),
+    *(
+        Case(f"epochs in {unit}", epoch(size), TABLE_LIKE, asked=(), clock=False)
+        for unit, size in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9))
+    ),
+    Case(
+        "every row twice",
+        lambda log: replace(log, t_ns=log.t_ns + 10**9).rows(TWICE),
+        (*TABLE_LIKE, *BAGS),
+        asked=(),
+        clock=False,
+        said="600 samples dropped: stamp and values repeat the sample before",
+    ),
+]
+
+
+def between(log: Log, other: Log, every_other: int = 2) -> Log:
+    """Rows of another writer after each of the log's, with stamps of their own, between them or equal."""
+    step = PERIOD_NS // every_other
+    parts = [replace(log), *(replace(other, t_ns=log.t_ns + step * (k + 1)) for k in range(every_other - 1))]
+    order = np.argsort(np.concatenate([one.t_ns for one in parts]), kind="stable")
+    joined = {a: np.concatenate([getattr(one, a) for one in parts])[order] for a in ("t_ns", "q", "dq", "tau")}
+    return replace(log, **joined)
+
+
+def zeros(log: Log) -> Log:
+    return replace(log, q=0 * log.q, dq=0 * log.dq, tau=0 * log.tau)
+
+
+def away(log: Log) -> Log:
+    """The log far from zero, so that a writer of zeros is another one."""
+    return replace(log, t_ns=log.t_ns + 10**9, q=log.q + 0.5)
+
+
+def joined_stretches(log: Log) -> Log:
+    """Six stretches of 100 rows in another order, with the stamps of one."""
+    order = np.concatenate([np.arange(100) + 100 * k for k in (0, 3, 5, 1, 4, 2)])
+    return replace(log.rows(order), t_ns=log.t_ns)
+
+
+STRETCHES = [slice(100 * k, 100 * (k + 1)) for k in (0, 3, 5, 1, 4, 2)]
+CASES += [
+    # --- Rows of several origins
+    Case(
+        "a second writer of zeros",
+        lambda log: between(away(log), zeros(log)),
+        (*TABLE_LIKE, *BAGS),
+        refused="alternate between two writers: one has positions of .*, the other zeros",
+    ),
+    Case(
+        "two further rows of zeros",
+        lambda log: between(away(log), zeros(log), 3),
+        (*TABLE_LIKE, *BAGS),
+        refused="alternate between two writers",
+    ),
+    Case(
+        "a second arm",
+        lambda log: between(log, replace(log, q=-log.q - 1)),
+        (*TABLE_LIKE, *BAGS),
+        refused="alternate between two writers: one has positions of .*, the other positions of",
+    ),
+    Case("joined stretches", joined_stretches, runs=STRETCHES, clock=False, said="stretches of 100 rows were joined"),
+    Case(
+        "joined stretches without a clock",
+        joined_stretches,
+        TABLE_LIKE,
+        arm=BY_RATE,
+        runs=STRETCHES,
+        clock=False,
+        said="stretches of 100 rows were joined",
+    ),
+]
 CELLS = [pytest.param(case, kind, id=f"{case.name}-{kind}") for case in CASES for kind in case.formats]
 
 
-def imported(case: Case, kind: str, folder: Path) -> tuple[list, list[str]]:
+def imported(case: Case, kind: str, folder: Path, capsys) -> tuple[list, list[str]]:
     """Recordings and printed lines of an import of the case's file in this format."""
     path = write(kind, folder, case.change(CLEAN))
     if case.robot:
         (folder / "arm.urdf").write_text(robot_text(case.robot))
     arm = folder / "arm.toml"
-    arm.write_text(arm_text(kind, **case.arm) + f'[split]\ntrain = ["{path.name}"]\n')
     lines: list[str] = []
+    if case.asked is None:
+        text = arm_text(kind, **case.arm)
+    else:
+        write_template(arm, (path,), folder / "arm.urdf" if case.robot else None)
+        lines += capsys.readouterr().err.splitlines()
+        text = arm.read_text()
+        marked = [
+            f"{entry[0]} {entry[1]}"
+            for entry in re.findall(r"\[([\w.]+)\] (\w+) has", "; ".join(open_entries(tomllib.loads(text))))
+        ]
+        assert tuple(dict.fromkeys(marked)) == case.asked, text
+        text = re.sub(r'"\?(?=[^"])', '"', text)
+        text = text.replace('joints = ["joint1", "joint2", "joint3"]', f"joints = {json.dumps(JOINTS)}")
+        text = text.replace("# [split]", "")
+    arm.write_text(text + f'\n[split]\ntrain = ["{path.name}"]\n')
     import_dataset([path], arm, folder / "out", "tauext", lines.append)
     files = sorted((folder / "out").glob("*.parquet"))
     return [load_recording(file) for file in files], "\n".join(lines).splitlines()
@@ -244,26 +479,28 @@ def robot_text(joints) -> str:
 
 
 @pytest.mark.parametrize(("case", "kind"), CELLS)
-def test_a_file_gives_the_clean_arrays_or_one_message(case, kind, tmp_path):
+def test_a_file_gives_the_clean_arrays_or_one_message(case, kind, tmp_path, capsys):
     if case.refused:
         with pytest.raises(TauextError, match=case.refused) as caught:
-            imported(case, kind, tmp_path)
+            imported(case, kind, tmp_path, capsys)
         assert "\n" not in str(caught.value) and not (tmp_path / "out").exists()
         return
-    recordings, lines = imported(case, kind, tmp_path)
+    recordings, lines = imported(case, kind, tmp_path, capsys)
     wanted = [CLEAN.rows(rows) for rows in case.runs]
     assert len(recordings) == len(wanted)
     for recording, log in zip(recordings, wanted, strict=True):
         assert recording.joints == JOINTS and recording.rate_hz == 50
         t_ns = log.t_ns if case.clock else log.t_ns - log.t_ns[0] + recording.t_ns[0]
-        assert np.abs(recording.t_ns - t_ns).max() <= 1  # seconds in a column are rounded
+        # Seconds in a column are rounded, those since 1970 to 0.24 us.
+        assert np.abs(recording.t_ns - t_ns).max() <= (1 if t_ns[0] < 10**17 else 256)
         factor = case.factor or (1.0, 1.0, 1.0)
-        np.testing.assert_array_equal(recording.dq, log.dq * factor)
-        np.testing.assert_array_equal(recording.tau, log.tau)
+        np.testing.assert_allclose(recording.dq, log.dq * factor, rtol=case.close, atol=0)
+        np.testing.assert_allclose(recording.tau, log.tau, rtol=case.close, atol=0)
         if case.factor:  # the first turn is free
             np.testing.assert_allclose(
                 np.diff(recording.q, axis=0), np.diff(log.q, axis=0) * factor, rtol=0, atol=1e-12
             )
         else:
-            np.testing.assert_array_equal(recording.q, log.q)
-    assert not case.said or any(re.search(case.said, line) for line in lines), lines
+            np.testing.assert_allclose(recording.q, log.q, rtol=case.close, atol=0)
+    for words in filter(None, (case.said, case.unused)):
+        assert any(re.search(words, line) for line in lines), lines

@@ -148,6 +148,7 @@ CHECKS = [
         ("fit", "half a minute", "model")),
     Row(("effort-sign",), SIGNS, effort.sign_findings, ("fit",)),
     Row(("torque-delay",), DELAYS, effort.delay_findings, ("fit", "measured torque")),
+    Row(("inertia-impossible",), SCALES, robot_file.inertia_findings, ("model",)),
     Row(("gravity-direction",), SCALES, robot_file.gravity_findings, ("fit", "model")),
     Row(("effort-scale", "effort-motor-side", "effort-compensated", "payload", "inertia-impossible"), SCALES,
         _scales, ("fit", "model")),

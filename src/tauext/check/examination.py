@@ -36,6 +36,10 @@ class Examination:
     found: dict[str, list[Finding]] = field(default_factory=dict)  # findings so far, by step
     spoiled: bool = False  # whether a fault of the signals may look like a contact
     tree: _core.Tree | None = None
+    model_joints: Sequence[str] = ()
+    """Names of the joints in the robot file."""
+    impossible: Sequence[Any] = ()
+    """Links with inertias that no body can have: `robot_file.ImpossibleInertia`."""
     recorded: Sequence[Recording] = ()  # the recordings before corrections of their torque
     added: list[Found] = field(default_factory=list)  # results of the checks of packages
     velocities: list[VelocityFit | None] = field(default_factory=list)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,11 +15,12 @@ from tauext.check.examination import Examination
 from tauext.check.finding import Finding, Severity
 from tauext.check.joint_fit import FitRows
 from tauext.check.motion import Stretch
+from tauext.check.sensors import noise_nm
 from tauext.data.importers.raw import short_list
 from tauext.errors import RobotError
 from tauext.robot.compile import LEAST
 from tauext.robot.inertial import point_inertia, six_of, with_more_at_end
-from tauext.robot.read import CarriedBody, carried_bodies, load_tree, movable_joints, robot_sha256
+from tauext.robot.read import CarriedBody, carried_bodies, load_tree, movable_joints, robot_sha256, tree_with_inertias
 from tauext.robot.torque_limits import torque_limits
 from tauext.robot.xml_file import read_xml
 
@@ -42,7 +43,19 @@ def position_limits(path: Path, joints: Sequence[str]) -> np.ndarray:
     return limits
 
 
-def model_findings(bodies: Sequence[CarriedBody], negligible: float = 1e-3) -> Iterator[Finding]:
+CORRECT = "correct the file: take it from the CAD model, about the centre of mass, in kg m^2 (not kg mm^2)"
+
+
+@dataclass(frozen=True)
+class ImpossibleInertia:
+    """A link with an inertia that no body can have, though it is finite, and what it changes can be computed."""
+
+    joint: str
+    evidence: str
+    body: CarriedBody
+
+
+def model_findings(bodies: Sequence[CarriedBody], negligible: float = 1e-3) -> Iterator[Finding | ImpossibleInertia]:
     """Findings on masses and inertias of the links that joints in use move: notes where the link's share of what the
     joint moves is negligible, so that nothing changes."""
     for joint in dict.fromkeys(body.joint for body in bodies):
@@ -53,13 +66,14 @@ def model_findings(bodies: Sequence[CarriedBody], negligible: float = 1e-3) -> I
                 yield Finding("inertia-impossible", "fault", joint, evidence, "it must be > 0")
             problem = _impossible(body.inertia_kg_m2) if body.mass_kg > LEAST else None
             if problem:
-                little = _share(body, carried) <= negligible
-                nothing = f"; below {negligible:.1%} of what the joint moves, it changes nothing" if little else ""
-                evidence = f"link '{body.name}': {problem}{nothing}"
-                advice = (
-                    "correct the file: take it from the CAD model, about the centre of mass, in kg m^2 (not kg mm^2)"
-                )
-                yield Finding("inertia-impossible", "note" if little else "fault", joint, evidence, advice)
+                evidence = f"link '{body.name}': {problem}"
+                if _share(body, carried) <= negligible:
+                    evidence += f"; below {negligible:.1%} of what the joint moves, it changes nothing"
+                    yield Finding("inertia-impossible", "note", joint, evidence, CORRECT)
+                elif np.isfinite(body.inertia_kg_m2).all():
+                    yield ImpossibleInertia(joint, evidence, body)
+                else:
+                    yield Finding("inertia-impossible", "fault", joint, evidence, CORRECT)
         if all(abs(body.mass_kg) <= LEAST for body in carried):
             evidence = f"link '{carried[0].name}' and links fixed to it have no mass"
             advice = "give it its mass, centre of mass and inertia"
@@ -82,8 +96,72 @@ def _impossible(inertia: np.ndarray) -> str | None:
         return f"{values}: not positive"
     # share by which a rounded principal inertia may exceed the sum of the others
     if principal[2] > (principal[0] + principal[1]) * (1 + 1e-3):
-        return f"{values}: the largest exceeds the sum of the others"
+        excess = principal[2] / (principal[0] + principal[1]) - 1
+        return f"{values}: the largest exceeds the sum of the others by {excess:.2g} of it"
     return None
+
+
+def inertia_findings(x: Examination) -> Iterator[Finding]:
+    """Findings of inertias that no body can have, by what they change in the torques of this motion.
+
+    The inertia is compared with the nearest possible one, whose smaller two principal moments are larger by half of the
+    excess each. The recordings can show no less than the error that the fit leaves, the torque's noise, and 2 % of its
+    spread: an effect below them is a note. Later checks have the possible inertia in the place of a fault.
+    """
+    if not x.impossible:
+        return
+    assert x.robot is not None
+    shown_nm, given = _shown_nm(x), x.rows.model if x.motion else None
+    wrong: dict[str, np.ndarray] = {}
+    for one in x.impossible:
+        possible = None if given is None else _tree_with(x, {one.body.name: possible_inertia(one.body)})
+        if possible is None or given is None:
+            advice = f"{CORRECT}; no joint moves, so that what it changes is not known"
+            yield Finding("inertia-impossible", "note", one.joint, one.evidence, advice)
+            continue
+        effect_nm = np.abs(x.rows.with_model(x.motion, possible).model - given).max(axis=0, initial=0.0)
+        worst = int(np.argmax(effect_nm / shown_nm))
+        against = f"{shown_nm[worst]:.2g} Nm, what these recordings can show there"
+        changes = f"in this motion, it changes the torque of '{x.joints[worst]}' by up to {effect_nm[worst]:.2g} Nm"
+        if effect_nm[worst] > shown_nm[worst]:
+            evidence = f"{one.evidence}; {changes}, more than {against}"
+            wrong[one.body.name] = possible_inertia(one.body)
+            yield Finding("inertia-impossible", "fault", one.joint, evidence, CORRECT)
+        else:
+            evidence = f"{one.evidence}; {changes}, less than {against}"
+            yield Finding("inertia-impossible", "note", one.joint, evidence, "no action is needed")
+    if wrong:
+        x.correct(tree=_tree_with(x, wrong))
+
+
+def possible_inertia(body: CarriedBody, density_kg_m3: float = 1000.0) -> np.ndarray:
+    """The nearest principal moments that the body can have, (3,), [kg m^2]: no principal second moment of its mass,
+    half of the sum of two moments less the third, is negative.
+
+    A mass without an inertia, as many files have for a sensor or a flange, has that of a sphere of this density.
+    """
+    principal = body.inertia_kg_m2
+    sphere = 0.4 * body.mass_kg * (3 * body.mass_kg / (4 * math.pi * density_kg_m3)) ** (2 / 3)
+    if np.abs(principal).max() < 1e-3 * sphere:
+        return np.full(3, sphere)
+    second = np.maximum(principal.sum() / 2 - principal, 0.0)
+    nearest: np.ndarray = second.sum() - second
+    return nearest
+
+
+def _shown_nm(x: Examination) -> np.ndarray:
+    """Least effect that the recordings can show, (joints,), [N m]."""
+    tau = np.concatenate([r.tau for r in x.recordings])
+    error_nm = np.array([fit.error_nm for fit in x.fits]) if x.has_fit else np.zeros(len(x.joints))
+    return np.maximum.reduce(
+        [error_nm, noise_nm(x.recordings), joint_fit.SEEN * tau.std(axis=0), np.full(tau.shape[1], 1e-9)]
+    )
+
+
+def _tree_with(x: Examination, inertias: Mapping[str, np.ndarray]) -> _core.Tree:
+    """The examination's tree with other principal moments of these links."""
+    assert x.robot is not None
+    return tree_with_inertias(x.robot, list(x.model_joints), x.gravity, inertias)
 
 
 NOT_COMPARED = "; torques were not compared with the model: order, sign, scale, load and contacts are not judged"
@@ -120,32 +198,21 @@ def file_findings(x: Examination) -> Iterator[Finding]:
             evidence += NOT_COMPARED if foreign else ""
             yield Finding("joint-names", "fault" if foreign else "warning", None, evidence, advice)
         if not (unknown and foreign):
-            bodies = carried_bodies(path, names)
-            found, has_mass = list(model_findings(bodies)), {body.joint for body in bodies if body.mass_kg > LEAST}
-            # gravity needs possible masses and no inertia; what wrong masses do not explain is no finding
-            if len(has_mass) == len(names) and all(_has_weight(body) for body in bodies):
-                wrong = {one.joint for one in found if one.severity == "fault"}
-                x.tree = _without_inertia(load_tree(path, names, gravity=x.gravity), wrong)
-                x.torque_limits_nm, x.position_limits_rad = torque_limits(path, names), position_limits(path, names)
+            judged = list(model_findings(carried_bodies(path, names)))
+            found = [one for one in judged if isinstance(one, Finding)]
+            # what wrong masses do not explain is no finding; an impossible inertia is judged by its effect
+            if any(one.severity == "fault" for one in found):
+                yield from (replace(one, evidence=one.evidence + NOT_COMPARED) for one in found)
             else:
-                found = [replace(one, evidence=one.evidence + NOT_COMPARED) for one in found]
-            yield from found
+                yield from found
+                tree, limits_rad = load_tree(path, names, gravity=x.gravity), position_limits(path, names)
+                x.torque_limits_nm = torque_limits(path, names)
+                x.tree, x.position_limits_rad, x.model_joints = tree, limits_rad, tuple(names)
+                x.impossible = [one for one in judged if isinstance(one, ImpossibleInertia)]
     except RobotError as error:
         advice = "correct the file, or check without --robot"
         yield Finding("model-unusable", "fault", None, str(error) + NOT_COMPARED, advice)
     yield from _changed(x, path)
-
-
-def _without_inertia(tree: _core.Tree, joints: Collection[str | None]) -> _core.Tree:
-    """The tree with the links of these joints as points of their mass: a wrong inertia explains no torque."""
-    links = tree.links
-    for link in links:
-        link.inertia = [0.0] * 6 if link.joint_name in joints else link.inertia
-    return _core.Tree(links, tree.gravity)
-
-
-def _has_weight(body: CarriedBody) -> bool:
-    return 0 <= body.mass_kg < math.inf and bool(np.isfinite(body.inertia_kg_m2).all())
 
 
 def _changed(x: Examination, path: Path) -> Iterator[Finding]:

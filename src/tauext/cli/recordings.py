@@ -78,7 +78,7 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
     from tauext.data.description import GUESSED, open_entries
     from tauext.data.description_template import RATE, Guess, guess, guess_values, template
     from tauext.data.importers.open_raw import open_raw
-    from tauext.data.importers.raw import whole
+    from tauext.data.importers.raw import short_list, whole
     from tauext.files.plain_file import parse_toml
     from tauext.files.typed_table import write_template as write_text
     from tauext.robot.read import movable_joints
@@ -95,7 +95,7 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
         with whole(sources[0], "a recording", ()):
             (first, *_) = open_raw(sources[0])
             streams = first.streams
-            guessed = guess(streams, joints)
+            guessed = guess(streams, joints, first.units)
             guess_values(guessed, first)
     text = template(guessed, model, joints, list(streams))
     write_text(path, text)
@@ -108,6 +108,8 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
         evidence = guessed.why.get(entry.removeprefix("[").replace("] ", "."), "no evidence")
         to_do = "fill in" if set(guesses) == {f"'{GUESSED}'"} else "confirm or fill in"
         Terminal().say(f"to {to_do}, marked with '{GUESSED}': {entry}: {evidence}")
+    if guessed.unused:
+        Terminal().say(f"not in use: {short_list(guessed.unused, 16)}")
     if RATE in guessed.why:
         Terminal().say(f"to fill in: [time] rate_hz: {guessed.why[RATE]}")
 

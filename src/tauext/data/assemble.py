@@ -6,8 +6,9 @@ import difflib
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,11 @@ import numpy as np
 from tauext.data.clock import RowRules, Table, expect_clock
 from tauext.data.description import NORMALISED, SIGNALS, Arm, SignalTable
 from tauext.data.importers.raw import RawRecording, short_list
-from tauext.data.raw_rows import Columns, RowReader
+from tauext.data.mixed_rows import MixedRules, alternating, joined
+from tauext.data.raw_rows import Columns, Piece, RowReader
 from tauext.data.recording import (
     BRIDGE_STEPS,
+    RATE_TOLERANCE,
     REPEATED,
     REQUIRED_SIGNALS,
     TURN,
@@ -100,7 +103,7 @@ def _stream(arm: Arm, raw: RawRecording, there: Mapping[str, Sequence[str]], top
         raise ConfigError(f"{raw.path.name}: it has no messages to read [{table}] from")
     if len(there) > 1:
         listed = ", ".join(sorted(there))
-        raise ConfigError(f"{arm.path}: [{table}] topic must be named, since several are read: {listed}")
+        raise ConfigError(f"{arm.path}: [{table}] topic must be named, since {raw.path.name} has several: {listed}")
     return next(iter(there))
 
 
@@ -285,7 +288,8 @@ def assemble(
     again follow each other without a pause.
 
     Args:
-        rate_hz: nominal rate; 0: the description's, else that of the fitted sample period.
+        rate_hz: nominal rate of other recordings, where the stamps agree with it; else the description's or that of the
+            fitted sample period.
 
     Raises:
         ConfigError: a column that the description names is missing.
@@ -299,18 +303,18 @@ def assemble(
     number, run, end_ns = 0, 0, 0
     turns = _Turns(arm, columns)
     try:
-        for piece in reader.pieces():
+        for piece in _stretches(raw, arm, columns, reader.pieces()):
             counts = Counter(raw.counts)
             raw.counts.clear()
             if start_ns is not None and piece.run > run and piece.begin_ns <= end_ns:
                 start_ns += piece.begin_ns - end_ns - round(1e9 / rate_hz)
-            if piece.run > run:
+            if piece.run > run or piece.joined:
                 run, turns = piece.run, _Turns(arm, columns)
             recording = _piece(raw, arm, columns, piece.tables, counts, start_ns, rate_hz, reader.remedy, turns)
             if start_ns is None:
                 start_ns = int(recording.t_ns[0])
                 reader.expect_rates(recording.t_ns)
-            name = raw.name if piece.last and not number else f"{raw.name}-{number:02d}"
+            name = raw.name if piece.last and not number and not piece.joined else f"{raw.name}-{number:02d}"
             yield reader.with_losses(replace(recording, name=name, robot_sha256=robot_sha256), counts)
             end_ns, rate_hz = int(recording.t_ns[-1]), recording.rate_hz
             number += 1
@@ -319,6 +323,34 @@ def assemble(
         raise RecordingError(f"{raw.path}: {str(error).removeprefix(f'{raw.path}: ')}") from error
     if not number:
         raise RecordingError(f"{raw.path}: it has no samples")
+
+
+def _stretches(raw: RawRecording, arm: Arm, columns: Columns, pieces: Iterable[Piece]) -> Iterator[Piece]:
+    """The pieces; one of stretches that were joined becomes a piece a stretch."""
+    for piece in pieces:
+        found = None
+        if len(piece.tables) == 1 and arm.signals["q"].unit != NORMALISED:
+            ((stream, (t_ns, values)),) = piece.tables.items()
+            period = fitted_period_ns(t_ns) if len(t_ns) > 2 and (np.diff(t_ns) > 0).all() else 0.0
+            if period > 0:
+                found = joined(_radians(arm, columns, values), np.round((t_ns - t_ns[0]) / period).astype(np.int64))
+        if found is None:
+            yield piece
+            continue
+        raw.notes.append(
+            f"stretches of {found.rows} rows were joined: positions jump at {found.jumps} of their ends, by up to "
+            f"{found.largest_rad:.2g} rad; each stretch is a recording"
+        )
+        ends = [0, *found.begins.tolist(), len(t_ns)]
+        parts = [(a, b) for a, b in pairwise(ends) if b - a >= MixedRules().least_rows]
+        for a, b in parts:
+            last = piece.last and b == parts[-1][1]
+            yield Piece({stream: (t_ns[a:b], values[a:b])}, piece.run, last, joined=True)
+
+
+def _radians(arm: Arm, columns: Columns, values: np.ndarray) -> np.ndarray:
+    """Positions in a table's values, (samples, joints), [rad] at the joint or the motor."""
+    return values[:, columns.signals["q"][1]] * SIGNALS["q"].units[arm.signals["q"].unit]
 
 
 def _piece(
@@ -355,6 +387,8 @@ def _piece(
         facts["measured_hz"] = round(_nominal_rate(t_ns) * float(own.mean()), 3)
     start_ns = int(t_ns[0]) if start_ns is None else start_ns
     facts["rate"] = "stated" if rate_hz else "fitted"
+    if rate_hz and not arm.time.rate_hz and abs(_nominal_rate(t_ns) / rate_hz - 1) > RATE_TOLERANCE / 2:
+        rate_hz = 0.0  # of the recordings before this one
     rate_hz = rate_hz or _nominal_rate(t_ns)
     if arm.servo is not None:
         _make_torque(arm, t_ns, rate_hz, signals, facts)
@@ -465,6 +499,9 @@ class _Turns:
 def _cleaned(stream: str, table: Table, arm: Arm, columns: Columns, counts: Counter[str], remedy: str) -> Table:
     """Sort the rows, refuse stamps that are no clock, and keep or drop repeated measurements."""
     before = counts[REPEATED]
+    if "q" in columns.signals and columns.signals["q"][0] == stream and arm.signals["q"].unit != NORMALISED:
+        if mixed := alternating(_radians(arm, columns, table[1])):
+            raise RecordingError(f"{mixed}; keep the rows of the arm's own writer, and record its topic alone")
     t_ns, values = ordered(*table, counts)
     expect_clock(table[0], counts[REPEATED] - before, remedy)
     signals = [columns.signals[key] for key in REQUIRED_SIGNALS if key in columns.signals]

@@ -5,43 +5,33 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from tauext.data.clock import SHARED_STAMPS
+from tauext.data.clock import ARM_HZ, SHARED_STAMPS
+from tauext.data.column_names import (
+    GOAL,
+    GUESSES,
+    JOINT,
+    NamedJoints,
+    Spelled,
+    groups_of,
+    is_current,
+    is_part,
+    is_unit,
+    is_unsure,
+    motor_side,
+    named_joints,
+    side_of,
+    spelled,
+    unit_of,
+)
 from tauext.data.description import GUESSED, SIGNALS, TABLES, TIME_UNITS, SignalTable
 from tauext.data.importers.raw import RawRecording, RawSignals, short_list
 from tauext.data.joint_names import GRIPPER, match_joints
 from tauext.files.typed_table import comment_lines, key_help, table_lines
-
-_BEFORE = r"((actual|act|measured|meas|joints?|state|present|robot|motor|arm|ax[ei]s|gelenke?|achsen?|ist)_)*"
-_AFTER = r"(_(actual|act|measured|meas|joints?|state|rad|deg|rads|rad_s|deg_s|nm))*"
-_GOAL = r"(des|desired|cmd|commanded|command|ref|reference|target|goal|set)"
-
-
-def _usual(core: str) -> str:
-    return f"{_BEFORE}({core}){_AFTER}"
-
-
-GUESSES = {
-    "q": _usual(r"q|qpos|q_pos|pos|positions?|act_pos\w*|theta|angles?|winkel") + r"|observation\.state",
-    "dq": _usual(r"dq|qd|v|qvel|q_vel|qdot|q_dot|vel|velocity|velocities|speeds?|geschw(indigkeit)?|act_vel\w*")
-    + r"|observation\.velocity",
-    "tau": _usual(
-        r"tau(_?[jm])?|qfrc(_actuator|_applied|_motor)?|efforts?|eff|torques?|torq|trq|tq|act_torque\w*|current_as_torque|currents?|i|m|"
-        r"(dreh)?moment[es]?|mom|str[oö]me?|motorstr[oö]me?"
-    )
-    + r"|observation\.effort",
-    "tau_ext": r"(tau_ext\w*|external_torques?)",
-    "q_des": rf"q_d|{_BEFORE}(q|pos|positions?)_{_GOAL}|{_GOAL}_(q|pos|positions?)\w*|ref_pos\w*|goal(_pos\w*)?|action",
-    "temperature": _usual(r"temps?|temperatures?"),
-    "duty": r"(duty|pwm|load|present_(load|pwm))",
-    "voltage": r"(voltage|voltages|present_voltage)",
-    "time": r"(_*(t|time|times|timestamps?|stamp)(_(s|sec|ms|us|ns))?|time_cont)",
-    "label": r"(label|labels|contact|contacts|collision|collisions|touch)",
-}
-"""Usual names of each signal, without joint and counter."""
 
 
 @dataclass
@@ -52,60 +42,192 @@ class Guess:
     topic: str = ""
     joint_names: tuple[str, ...] = ()
     """Joint names in the recording; empty where it numbers them."""
+    arm: frozenset[str] = frozenset()
+    """Those of them that are the arm's: no gripper, no wheel, and none that a robot file lacks."""
     count: int = 0
     """Number of joints, from the columns of q."""
+    units: dict[str, str] = field(default_factory=dict)
+    """Units that names of columns state, by signal."""
+    unused: list[str] = field(default_factory=list)
+    """Columns of no signal."""
     values: dict[str, Any] = field(default_factory=dict)
     """Values of other keys that the recording's numbers show, by "table.key"."""
     why: dict[str, str] = field(default_factory=dict)
     """Evidence of guesses, a sentence by "table.key"."""
 
 
-def guess(streams: Mapping[str, Sequence[str]], robot: Sequence[str] = ()) -> Guess:
+ONE_A_ROW = ("time", "label")
+"""Signals of one column, whatever the number of joints."""
+
+
+def guess(
+    streams: Mapping[str, Sequence[str]], robot: Sequence[str] = (), stated: Mapping[str, str] = MappingProxyType({})
+) -> Guess:
     """Guess the signals of a source from its column names.
 
     Args:
         robot: joints of the robot file, whose names columns may contain.
+        stated: units that the file states beside the names, by column.
     """
     found, left = Guess(), dict[str, int]()
-    for stream, names in streams.items():
-        groups, joints = _groups(names), _named_joints(names, robot)
-        for pattern in sorted({name.replace(joints[0], "{joint}") for name in names if joints and joints[0] in name}):
-            spelled = [pattern.replace("{joint}", joint) for joint in joints]
-            if all(name in names for name in spelled):
-                groups = {group: count for group, count in groups.items() if not _is_part(group, spelled)}
-                groups[pattern] = len(joints)
-        for signal, pattern in GUESSES.items():
-            fits = [g for g in groups if re.fullmatch(pattern, _bare(g), re.IGNORECASE)]
+    for stream, names in _arms_stream_first(found, streams, robot).items():
+        named = named_joints(names, robot)
+        groups = groups_of(names)
+        for pattern, count in named.patterns.items():
+            columns = [pattern.replace(JOINT, joint) for joint in named.joints]
+            groups = {
+                group: n for group, n in groups.items() if group not in named.arrays and not is_part(group, columns)
+            }
+            groups[pattern] = count
+        spellings = {group: _with_unit(group, named.joints, stated) for group in groups}
+        for signal in GUESSES:
+            fits = [group for group, one in spellings.items() if one.names(signal)]
             if signal == "q" and not fits and JOINT in groups:
                 fits = [JOINT]  # columns named by the joint alone
-            single = signal in ("time", "label")
-            fits = [g for g in fits if (groups[g] == 1) == single or (single and g in names)]
+            fits = _of_joints(found, signal, fits, groups)
             if fits and signal not in found.columns:
-                # With torque and current in a file, prefer the torque, which needs no constant.
-                fits.sort(key=lambda one: (signal == "tau" and _is_current(one), _is_unsure(signal, one), len(one)))
-                found.columns[signal] = fits[0]
-                _explain(found, signal, fits, groups[fits[0]])
+                _choose(found, signal, fits, groups, spellings)
                 if signal == "q":
-                    found.topic, found.count = stream, groups[fits[0]]
+                    found.topic, found.count = stream, groups[found.columns["q"]]
+        _by_units(found, groups, spellings)
         left |= groups
-        base = found.columns.get("q", "")
-        elements = [n.removeprefix(f"{base}[")[:-1] for n in names if base and n.startswith(f"{base}[")]
-        if elements and not all(e.isdigit() for e in elements):
-            found.joint_names = tuple(elements)
-        elif joints and "{joint}" in base:
-            found.joint_names = joints
-    _ask_for_missing(found, {group: count for group, count in left.items() if group not in found.columns.values()})
+        _name_joints(found, names, named, robot)
+    used = {*found.columns.values(), *(("action",) if "goal" in found.columns.values() else ())}
+    left = {
+        group: n for group, n in left.items() if group not in used and group.replace("action", "goal", 1) not in used
+    }
+    found.unused = [group for group in left if group not in COUNTERS]
+    _ask_for_missing(found, left)
     return found
 
 
-def _explain(found: Guess, signal: str, fits: Sequence[str], count: int) -> None:
-    """Add the evidence of a signal's columns; names that may mean something else are marked as unsure."""
+COUNTERS = ("index", "frame_index", "episode_index", "task_index", "next.done")
+"""Columns that count LeRobot's frames."""
+WHEEL = re.compile(r"wheel|caster", re.IGNORECASE)
+
+
+def _with_unit(group: str, joints: Sequence[str], stated: Mapping[str, str]) -> Spelled:
+    """What the group's name states, with the unit that the file states beside it."""
+    one = spelled(group)
+    column = group.replace(JOINT, joints[0]) if joints else group
+    of_columns = re.escape(column).replace(r"\{number\}", r"\d+").replace(r"\{index\}", r"\d+")
+    texts = (text for name, text in stated.items() if re.fullmatch(rf"{of_columns}(\[.*\])?", name))
+    text = next((text.strip(" []()") for text in texts), "")
+    return Spelled(one.all_words, text, True) if is_unit(text) and not one.certain else one
+
+
+def _arms_stream_first(
+    found: Guess, streams: Mapping[str, Sequence[str]], robot: Sequence[str]
+) -> dict[str, Sequence[str]]:
+    """The stream of the arm's positions, then those without positions; several of one kind are a question."""
+    arms: dict[str, set[str]] = {}
+    for stream, names in streams.items():
+        joints = {
+            name.removesuffix("]").rpartition("[")[2] for name in names if spelled(name.rpartition("[")[0]).names("q")
+        }
+        if joints:
+            arms[stream] = {joint for joint in joints if not GRIPPER.search(joint)}
+    if len(arms) < 2:
+        return dict(streams)
+    order = sorted(arms, key=lambda stream: (-len(arms[stream] & {*robot}), not arms[stream]))
+    first = order[0]
+    others = [stream for stream in order[1:] if arms[stream]]
+    if any(len(arms[stream] & {*robot}) == len(arms[first] & {*robot}) for stream in others):
+        why = f"{', '.join([first, *others])} have positions of joints: choose the arm's"
+        for signal in NEEDED:
+            found.values[f"signals.{signal}.topic"] = GUESSED + first
+            found.why[f"signals.{signal}.topic"] = why
+    return {first: streams[first]} | {stream: names for stream, names in streams.items() if stream not in arms}
+
+
+def _of_joints(found: Guess, signal: str, fits: Sequence[str], groups: Mapping[str, int]) -> list[str]:
+    """Those of the groups that have as many columns as the signal needs: one for a clock, one a joint for others."""
+    if signal in ONE_A_ROW:
+        return [group for group in fits if groups[group] == 1]
+    several = [group for group in fits if groups[group] > 1]
+    alone = found.count == 1 or (
+        signal == "q" and not any(n > 1 and spelled(g).names(s) for g, n in groups.items() for s in ("dq", "tau"))
+    )
+    return [group for group in fits if groups[group] == 1] if not several and alone else several
+
+
+def _choose(
+    found: Guess, signal: str, fits: list[str], groups: Mapping[str, int], spellings: Mapping[str, Spelled]
+) -> None:
+    """Set the columns of a signal, their unit and the evidence; what names leave open is marked."""
+    side = side_of(found.columns.get("q", ""))
+
+    def rank(group: str) -> tuple:
+        # With torque and current in a file, prefer the torque, which needs no constant.
+        of_motor = signal in ("q", "dq") and motor_side(group)
+        current = signal == "tau" and is_current(spellings[group].words)
+        other = side_of(group) != side, groups[group] != found.count > 0
+        return of_motor, signal != "q" and other, current, is_unsure(signal, spellings[group].words), len(group)
+
+    fits.sort(key=rank)
+    first = fits[0]
+    found.columns[signal] = first
+    if unit := unit_of(signal, spellings[first].unit):
+        found.units[signal] = unit
     key = {"time": "time.column", "label": "contact.column"}.get(signal, f"signals.{signal}.columns")
-    words = "by its name" if signal in ("time", "label") else f"by the names of {count} columns"
+    words = "by its name" if signal in ONE_A_ROW else f"by the names of {groups[first]} columns"
     found.why[key] = f"{words}; {', '.join(fits[1:])} would fit, too" if fits[1:] else words
-    if _is_unsure(signal, fits[0]):
-        found.values[key] = GUESSED + fits[0]
-        found.why[key] += f"; it may mean something else than {NEEDED_WORDS[signal]}"
+    open_end = ""
+    if is_unsure(signal, spellings[first].words):
+        open_end = f"it may mean something else than {NEEDED_WORDS[signal]}"
+    elif signal == "q" and len({motor_side(group) for group in fits}) > 1:
+        open_end = "some may be of the motors, before the gear"
+    elif signal == "q" and len({side_of(group) for group in fits}) > 1:
+        open_end = "choose the arm"
+    elif signal in ("dq", "tau") and groups[first] != found.count > 1 and not _is_array_of_names(first, groups):
+        open_end = f"there are {groups[first]} of them, and {found.count} positions"
+    if open_end:
+        found.values[key] = GUESSED + first
+        found.why[key] += f"; {open_end}"
+
+
+def _is_array_of_names(group: str, groups: Mapping[str, int]) -> bool:
+    """Whether a group is an array, whose elements may have names."""
+    return "{" not in group and groups[group] > 1
+
+
+def _by_units(found: Guess, groups: Mapping[str, int], spellings: Mapping[str, Spelled]) -> None:
+    """Columns of a needed signal that only their unit in brackets shows: `c1 (A)`; of several, a person chooses."""
+    goal = re.compile(rf"(.*_)?({GOAL}|err|error|ext|external|max|min|limit)(_.*)?", re.IGNORECASE)
+    for signal in NEEDED:
+        if signal in found.columns or (signal != "q" and not found.count):
+            continue
+        with_unit = [
+            group
+            for group, one in spellings.items()
+            if one.certain and unit_of(signal, one.unit) and not goal.fullmatch(one.words)
+            if group not in found.columns.values() and groups[group] == (found.count or max(groups[group], 2))
+        ]
+        if with_unit:
+            one = found.columns[signal] = with_unit[0]
+            unit = found.units[signal] = unit_of(signal, spellings[one].unit)
+            key = f"signals.{signal}.columns"
+            found.why[key] = f"by the unit of {groups[one]} columns, {unit}"
+            found.count = found.count or groups[one]
+            if with_unit[1:]:
+                found.values[key] = GUESSED + one
+                found.why[key] += f"; {', '.join(with_unit[1:])} would fit, too"
+
+
+def _name_joints(found: Guess, names: Sequence[str], named: NamedJoints, robot: Sequence[str]) -> None:
+    """Set the joints that the columns of the position name, and those of them that are the arm's."""
+    base = found.columns.get("q", "")
+    elements = [n.removeprefix(f"{base}[")[:-1] for n in names if base and n.startswith(f"{base}[")]
+    if elements and not all(e.isdigit() for e in elements):
+        found.joint_names = tuple(elements)
+    elif named.joints and JOINT in base:
+        found.joint_names = named.joints
+    arm = {name for name in found.joint_names if not GRIPPER.search(name) and not WHEEL.search(name)}
+    if robot:
+        matched = match_joints(robot, found.joint_names)
+        there = {*matched.pairs.values(), *matched.proposed.values()}
+        arm = arm & there or arm
+    found.arm = frozenset(arm)
 
 
 NEEDED_WORDS = {"q": "a position", "dq": "a velocity", "tau": "a torque or a current"}
@@ -119,13 +241,21 @@ def _ask_for_missing(found: Guess, left: Mapping[str, int]) -> None:
     """
     joints = [group for group, count in left.items() if count == found.count > 0]
     for signal in NEEDED if found.columns or left else ():
-        if signal in found.columns or (signal != "q" and _torque_source(found)) or (signal == "dq" and not joints):
+        made_of = _torque_source(found) if signal == "tau" else ""
+        if (
+            signal in found.columns
+            or (made_of and not joints)
+            or (signal == "dq" and (not joints or _torque_source(found)))
+        ):
             continue
-        key = f"signals.{signal}.columns"
-        found.values[key] = GUESSED
+        key = f"signals.{signal}.columns" if not made_of else "servo.torque_from"
+        found.values[key] = GUESSED + made_of
         found.why[key] = f"no column is named as {NEEDED_WORDS[signal]} usually is"
         found.why[key] += f"; not in use: {short_list(joints or left)}" if left else ""
-        found.why[key] += '; "" derives it from the position' if signal == "dq" else "; check the unit, too"
+        if made_of:
+            found.why[key] += "; where one of them is the torque, name it in [signals.tau] and leave [servo] out"
+        else:
+            found.why[key] += '; "" derives it from the position' if signal == "dq" else "; check the unit, too"
 
 
 def _torque_source(found: Guess) -> str:
@@ -145,7 +275,7 @@ def guess_values(guessed: Guess, raw: RawRecording) -> None:
     for block in raw.blocks():
         if block.stream == guessed.topic or not guessed.topic:
             _guess_clock(guessed, block, raw)
-            _guess_degrees(guessed, block)
+            _guess_angles(guessed, block)
             _guess_ur_effort(guessed, block)
             return
 
@@ -153,6 +283,10 @@ def guess_values(guessed: Guess, raw: RawRecording) -> None:
 def _guess_clock(guessed: Guess, block: RawSignals, raw: RawRecording) -> None:
     column = guessed.columns.get("time", "")
     rate_hz = _rate_of_velocity(guessed, block)
+    if column and column == raw.clocks[1] and block.t_ns is not None:  # LeRobot's `timestamp` has single precision
+        guessed.columns.pop("time")
+        guessed.units.pop("time", None)
+        column = ""
     hints = raw.hints() + [f"positions and velocities fit about {rate_hz:.3g} rows a second"] * bool(rate_hz)
     if not column or column not in block.names:
         if block.t_ns is None:
@@ -162,8 +296,10 @@ def _guess_clock(guessed: Guess, block: RawSignals, raw: RawRecording) -> None:
             guessed.why["time.column"] = f"the stamps of the file, '{raw.clocks[0]}', are the clock"
         return
     times = block.columns[:, block.names.index(column)]
+    same = (block.columns[1:] == block.columns[:-1]) | np.isnan(block.columns[1:])
+    times = times[np.r_[True, ~same.all(axis=1)]]  # rows twice are dropped at import
     steps = np.diff(times[np.isfinite(times)])
-    ahead, unit = steps[steps > 0], time_unit(times)
+    ahead, unit = steps[steps > 0], guessed.units.get("time") or time_unit(times)
     if not len(steps) or (steps < 0).mean() > 0.5:
         return  # the import names the order of the rows
     why = "" if len(ahead) else f"'{column}' is constant"
@@ -179,7 +315,10 @@ def _guess_clock(guessed: Guess, block: RawSignals, raw: RawRecording) -> None:
         return
     step = float(np.median(ahead))
     guessed.why["time.unit"] = "; ".join([f"the steps of '{column}' are {step:.4g}", *hints])
-    sure = bool(unit) and not _contradicts(rate_hz, 1e9 / (step * TIME_UNITS[unit]))
+    hz = 1e9 / (step * TIME_UNITS[unit or "s"])
+    sure = bool(unit) and not _contradicts(rate_hz, hz) and ("time" not in guessed.units or 1 <= hz <= ARM_HZ[1])
+    if "time" in guessed.units:
+        guessed.why["time.unit"] = f"by the name of the column; {guessed.why['time.unit']}"
     guessed.values["time.unit"] = unit if sure else GUESSED + (unit or "s")
 
 
@@ -219,32 +358,78 @@ def _indices(guessed: Guess, block: RawSignals, signal: str) -> list[int]:
     return [k for k, name in enumerate(block.names) if pattern and re.fullmatch(rf"{spelled}(\[.*\])?", name)]
 
 
+EPOCH_S = (1e9, 4e9)
+"""Times of the years 2001 to 2096, counted from 1970, [s]."""
+
+
 def time_unit(times: np.ndarray) -> str:
-    """Unit of a column of times from its steps: only one unit gives 10 Hz to 10 kHz; empty: none.
+    """Unit of a column of times: by its size if it counts from 1970, else by its steps, of which only one unit gives
+    10 Hz to 10 kHz; empty: none.
 
     Args:
         times: (samples,), NaN where there is none.
     """
-    steps = np.diff(times[np.isfinite(times)])
+    times = times[np.isfinite(times)]
+    steps = np.diff(times)
     steps = steps[steps > 0]
     if not len(steps):
         return ""
-    step = float(np.median(steps))
+    step, middle = float(np.median(steps)), float(np.median(times))
+    for unit, ns in TIME_UNITS.items():
+        # A clock that counts ns from its start may have the size of an epoch in s, but not its steps.
+        if EPOCH_S[0] <= middle * ns * 1e-9 <= EPOCH_S[1] and 1e4 <= step * ns <= 1e10:
+            return unit
     return next((unit for unit, ns in TIME_UNITS.items() if 1e5 < step * ns <= 1e8), "")
 
 
-def _guess_degrees(guessed: Guess, block: RawSignals) -> None:
+def _guess_angles(guessed: Guess, block: RawSignals) -> None:
+    """Units of positions, velocities and goals: as their names state, else by the size of the arm's positions."""
     indices = _indices(guessed, block, "q")
-    if not indices or "deg" in guessed.columns["q"]:
+    if guessed.arm:
+        indices = [k for k in indices if _joint_of(guessed, block.names[k]) in guessed.arm] or indices
+    if not indices:
         return
+    unit = guessed.units.get("q", "")
     largest = np.nanmax(np.abs(np.nan_to_num(block.columns[:, indices])), axis=0)
-    if (largest > 7.0).sum() < min(2, len(indices)):  # cables allow an arm's joint about a turn each way
+    # Cables allow an arm's joint about a turn each way.
+    if not unit and (largest > 7.0).sum() >= min(2, len(indices)):
+        unit = "deg"
+        guessed.values["signals.q.unit"] = f"{GUESSED}deg"
+        guessed.why["signals.q.unit"] = f"positions reach {largest.max():.4g}"
+    if unit != "deg":
         return
-    guessed.values["signals.q.unit"] = f"{GUESSED}deg"
-    guessed.why["signals.q.unit"] = f"positions reach {largest.max():.4g}"
-    if "dq" in guessed.columns:
-        guessed.values["signals.dq.unit"] = f"{GUESSED}deg/s"
-        guessed.why["signals.dq.unit"] = "the unit of the positions, if they are in degrees; rad/s is the other choice"
+    if "dq" in guessed.columns and "dq" not in guessed.units:
+        unit, why = f"{GUESSED}deg/s", "the unit of the positions, if they are in degrees; rad/s is the other choice"
+        rates = _rate_of_velocity(guessed, block), _rate_of_stamps(guessed, block)
+        for factor, fits in ((1.0, "deg/s"), (np.pi / 180, "rad/s")):
+            if all(rates) and abs(rates[0] / rates[1] / factor - 1) < 0.2:
+                unit, why = fits, f"velocities are {factor:.4g} times the change of the positions a second"
+        guessed.values["signals.dq.unit"], guessed.why["signals.dq.unit"] = unit, why
+    if "q_des" in guessed.columns and "q_des" not in guessed.units:
+        guessed.values["signals.q_des.unit"] = "deg"
+        guessed.why["signals.q_des.unit"] = "the unit of the positions"
+
+
+def _rate_of_stamps(guessed: Guess, block: RawSignals) -> float:
+    """Rows a second by the stamps, [Hz]; 0: not known."""
+    column, unit = guessed.columns.get("time", ""), str(guessed.values.get("time.unit", ""))
+    if column in block.names and unit in TIME_UNITS:
+        t_ns = block.columns[:, block.names.index(column)] * TIME_UNITS[unit]
+    elif block.t_ns is not None:
+        t_ns = block.t_ns.astype(np.float64)
+    else:
+        return 0.0
+    steps = np.diff(t_ns)
+    steps = steps[steps > 0]
+    return 1e9 / float(np.median(steps)) if len(steps) else 0.0
+
+
+def _joint_of(guessed: Guess, column: str) -> str:
+    """The joint of a column of the position; empty: the column names none."""
+    before, joint, after = guessed.columns["q"].partition(JOINT)
+    if joint:
+        return column.removeprefix(before).removesuffix(after)
+    return column.removesuffix("]").rpartition("[")[2]
 
 
 UR_JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint")
@@ -261,7 +446,7 @@ def _guess_ur_effort(guessed: Guess, block: RawSignals) -> None:
     """Unit of the effort of a UR arm, by its size; `check` compares it with gravity."""
     indices = _indices(guessed, block, "tau")
     is_ur = all(any(name.endswith(joint) for name in guessed.joint_names) for joint in UR_JOINTS)
-    if not is_ur or not indices or _is_current(guessed.columns["tau"]):
+    if not is_ur or not indices or "tau" in guessed.units or is_current(spelled(guessed.columns["tau"]).words):
         return
     largest = float(np.nanmax(np.abs(np.nan_to_num(block.columns[:, indices]))))
     current = largest <= MOST_UR_A
@@ -299,10 +484,10 @@ def template(guessed: Guess, model: str = "", joints: Sequence[str] = (), topics
     why |= {f"robot.{key}": words for key, words in evidence.items()}
     found: dict[str, dict[str, Any]] = {
         "robot": {"model": model} | robot,
-        "time": {"column": columns.get("time", ""), "unit": "ns" if columns.get("time", "").endswith("_ns") else "s"},
+        "time": {"column": columns.get("time", ""), "unit": guessed.units.get("time", "s")},
         "contact": {"column": columns.get("label", "")},
     }
-    signals = {name: _signal(name, columns.get(name, NEEDED.get(name, name))) for name in SIGNALS}
+    signals = {name: _signal(guessed, name, columns.get(name, NEEDED.get(name, name))) for name in SIGNALS}
     in_force = {*found, *NEEDED, *columns}
     if made_of := _torque_source(guessed):
         found["servo"] = {"torque_from": made_of}
@@ -313,6 +498,8 @@ def template(guessed: Guess, model: str = "", joints: Sequence[str] = (), topics
         table, _, key = entry.rpartition(".")
         (signals[table.removeprefix("signals.")] if table.startswith("signals.") else found[table])[key] = value
     lines = _HEADER.splitlines()
+    if guessed.unused:
+        lines += [*comment_lines(f"Columns of the source that are not in use: {short_list(guessed.unused, 24)}."), ""]
     for name, kind in TABLES.items():
         evidence = {key.removeprefix(f"{name}."): words for key, words in why.items()}
         lines += table_lines(kind, name, kind.__doc__ or "", found.get(name), None, evidence, name in in_force)
@@ -340,7 +527,11 @@ def _joint_entries(guessed: Guess, joints: Sequence[str]) -> tuple[dict[str, Any
     """
     logged, count = guessed.joint_names, len(guessed.joint_names) or guessed.count
     if not joints:
-        return {"joints": logged or tuple(f"joint{k + 1}" for k in range(count or 2))}, {}
+        wheels = [name for name in logged if WHEEL.search(name)]
+        arm = tuple(name for name in logged if name not in wheels) or tuple(f"joint{k + 1}" for k in range(count or 2))
+        if wheels:
+            return {"joints": arm, "ignored": wheels}, {"ignored": "wheels are no joints of an arm"}
+        return {"joints": arm}, {}
     arms = [name for name in joints if not GRIPPER.search(name)]
     if not logged:
         return _numbered_entries(joints, arms, count)
@@ -384,12 +575,13 @@ def _numbered_entries(joints: Sequence[str], arms: Sequence[str], count: int) ->
     return entries, {"joints": f"{order}; but it has {count}, the robot file {len(used)} joints: choose them"}
 
 
-def _signal(name: str, columns: str) -> dict[str, Any]:
+def _signal(guessed: Guess, name: str, columns: str) -> dict[str, Any]:
     """Values of a signal's keys, guessed from its column names."""
-    unit = next(iter(SIGNALS[name].units))
-    if name == "tau" and _is_current(columns):
-        return {"columns": columns, "unit": "A", "torque_constant": "unknown"}
-    return {"columns": columns, "unit": unit.replace("rad", "deg") if "deg" in columns else unit}
+    unit = guessed.units.get(name, "")
+    if name == "tau" and not unit and is_current(spelled(columns).words):
+        unit = "A"
+    known = {"columns": columns, "unit": unit or next(iter(SIGNALS[name].units))}
+    return known | ({"torque_constant": "unknown"} if name == "tau" and SignalTable((), unit).is_current else {})
 
 
 def _shared_keys(topics: Sequence[str]) -> list[str]:
@@ -400,73 +592,3 @@ def _shared_keys(topics: Sequence[str]) -> list[str]:
             more = f" The source has {', '.join(topics)}." if name == "topic" and len(topics) > 1 else ""
             lines += comment_lines(f"{name}: {words}{more}", "#   ")
     return [*lines, ""]
-
-
-JOINT = "{joint}"
-
-
-def _named_joints(names: Sequence[str], robot: Sequence[str]) -> tuple[str, ...]:
-    """Joint names in q_JOINT, JOINT_pos, .../JOINT/position and the like, in order; at least two such columns.
-
-    Columns that contain a name of the robot file, alone or beside other words, give the joints first.
-    """
-    for joint in robot:
-        for column in names:
-            if re.search(rf"(?<![A-Za-z0-9]){re.escape(joint)}(?![A-Za-z0-9])", column) is None or "[" in column:
-                continue
-            before, _, after = column.partition(joint)
-            of = re.compile(f"{re.escape(before)}(.+){re.escape(after)}")
-            joints = tuple(match[1] for name in names if (match := of.fullmatch(name)))
-            if not before and not after:
-                joints = tuple(name for name in names if name in robot)
-            elif not re.fullmatch(GUESSES["q"], _bare(f"{before}{JOINT}{after}"), re.IGNORECASE):
-                continue
-            if len(joints) > 1:
-                return joints
-    q = "(q|pos|position|positions|angle)"
-    for pattern in (rf"{q}[_.](?P<joint>.+)", rf".*?(?P<joint>[^/]+)/{q}", rf"(?P<joint>.+?)[_. ]{q}"):
-        joints = tuple(match["joint"] for name in names if (match := re.fullmatch(pattern, name, re.IGNORECASE)))
-        # q_d0 and q_des_0 are numbered goals, q_x is a coordinate: not joints.
-        none = rf"(d|{_GOAL})?_?\d*|[xyzw]|r[xyz]|q[xyzw]|roll|pitch|yaw"
-        if len(joints) > 1 and not all(re.fullmatch(none, joint, re.IGNORECASE) for joint in joints):
-            return joints
-    return ()
-
-
-def _groups(names: Sequence[str]) -> dict[str, int]:
-    """Group names that differ only in one number or element: pattern and count; others stay single."""
-    groups: dict[str, list[int]] = {}
-    for name in names:
-        pattern, number = re.sub(r"\[[^\]]*\]$", "", name) or name, 0
-        if pattern == name and (match := re.fullmatch(r"(.*?\D)(\d+)(\D*)", name)):
-            pattern, number = f"{match[1]}{{#}}{match[3]}", int(match[2])
-        groups.setdefault(pattern, []).append(number)
-    return {
-        pattern.replace("{#}", "{number}" if min(numbers) else "{index}"): len(numbers)
-        for pattern, numbers in groups.items()
-    }
-
-
-def _is_part(group: str, names: Sequence[str]) -> bool:
-    """Whether the pattern covers only some of these names: wrist_{number}/position beside elbow/position."""
-    counted = re.escape(group).replace(r"\{number\}", r"\d+").replace(r"\{index\}", r"\d+")
-    return any(re.fullmatch(counted, name) for name in names)
-
-
-def _is_current(pattern: str) -> bool:
-    return (
-        re.fullmatch(r"\w*current(?!_as_torque)\w*|\w*str[oö]me?|(\w*_)?i", _bare(pattern), re.IGNORECASE) is not None
-    )
-
-
-def _is_unsure(signal: str, pattern: str) -> bool:
-    """Whether the name may mean something else: a motor, metres."""
-    return signal == "tau" and re.fullmatch(_usual("m"), _bare(pattern), re.IGNORECASE) is not None
-
-
-def _bare(pattern: str) -> str:
-    """Last part of the pattern without its counter, in small letters with underscores: the signal's usual name."""
-    name = re.sub(r"[_/. ]?\{\w+\}[_. ]?", "", pattern)
-    if name.startswith(("observation.", "action")):
-        return name
-    return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", re.split(r"[./]", name)[-1]).replace(" ", "_").replace("-", "_")

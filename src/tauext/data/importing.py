@@ -6,12 +6,12 @@ import difflib
 import math
 import re
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, count
 from pathlib import Path
 
-from tauext.data.assemble import assemble, logged_joints
+from tauext.data.assemble import assemble, constant_unknown, logged_joints
 from tauext.data.dataset import SETS, Split, save_split, split_recordings
 from tauext.data.description import Arm, load_arm
 from tauext.data.free_motion import free_stretches, has_contact, length_s, within
@@ -20,6 +20,7 @@ from tauext.data.importers.raw import RawRecording, whole
 from tauext.data.joint_names import expect_all_placed
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording, save_recording
+from tauext.data.resample import to_one_rate
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import expect_empty, new_folder
 from tauext.files.plain_file import read_text
@@ -190,7 +191,9 @@ def _by_time(
 def recordings_of(
     raws: Sequence[RawRecording], arm: Arm, robot_sha256: str
 ) -> Iterator[tuple[RawRecording, Recording]]:
-    """Convert all raw recordings, in order and at one nominal rate: the description's, else the first recording's.
+    """Convert all raw recordings, in order.
+
+    Their nominal rate is the description's, else the first recording's where the stamps agree with it.
 
     Raises:
         ConfigError: two raw recordings share a name; a contact's recording is missing, or ends before the contact.
@@ -270,10 +273,13 @@ def write_dataset(
         pieces[raw.name].append(path)
         duration[raw.name] = recording.provenance["start_s"] + length_s(recording)
         touched[raw.name] |= has_contact(recording)
+    unit = "A" if constant_unknown(arm) else "Nm"
+    resampled = to_one_rate([path for paths in pieces.values() for path in paths], unit)
     for raw in raws:
         files.setdefault(raw.path.name, []).append(raw.name)
     facts = {name: RawFacts(duration[name], touched[name]) for name in pieces}
     claims, notes = plan(arm, facts, files)
+    notes[:0] = [resampled] * bool(resampled)
     written: dict[str, list[str]] = {set_name: [] for set_name in SETS}
     for name, paths in pieces.items():
         for path in paths:
@@ -375,7 +381,7 @@ def import_dataset(
         if export is not None:
             if arm.split.named:
                 say(f"[split] is not used: a dataset of format {format} has no sets")
-            recordings = (_reported(recording, say) for _, recording in recordings_of(sources, arm, ""))
+            recordings = (_reported(recording, say) for recording in _of_one_rate(recordings_of(sources, arm, "")))
             say(f"{export(recordings, part)} episodes")
         else:
             robot = _robot_file(arm, part, say, meshes)
@@ -384,6 +390,19 @@ def import_dataset(
         settings = {"arm": read_text(arm_file), "sources": [path.name for path in paths], "format": format}
         write_json(provenance("tauext import", settings, None), part / "run.json")
         write_json({"import_s": round(time.monotonic() - started, 3)}, part / "wall_time_s.json")
+
+
+def _of_one_rate(recordings: Iterable[tuple[RawRecording, Recording]]) -> Iterator[Recording]:
+    """The recordings; ConfigError where their rates differ."""
+    first: Recording | None = None
+    for _, recording in recordings:
+        first = first or recording
+        if recording.rate_hz != first.rate_hz:
+            raise ConfigError(
+                f"{recording.name} has {recording.rate_hz:g} Hz, {first.name} {first.rate_hz:g} Hz; a dataset of this "
+                "format has one rate: import each rate alone"
+            )
+        yield recording
 
 
 def _robot_file(arm: Arm, out: Path, say: Callable[[str], object], meshes: MeshFolders) -> Path:

@@ -37,6 +37,8 @@ class Piece:
     tables: dict[str, Table]
     run: int
     last: bool
+    joined: bool = False
+    """Whether another stretch was joined before or after it."""
 
     @property
     def begin_ns(self) -> int:

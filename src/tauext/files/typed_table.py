@@ -26,6 +26,7 @@ from tauext.config import NOT_EMPTY, Rule, annotations_of, described
 from tauext.errors import ConfigError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.plain_file import number_of
+from tauext.progress import in_plain_letters
 
 # --- Annotations of fields, beside Python's types and the rules of tauext.config.
 
@@ -322,11 +323,22 @@ def table_lines(
     for name, words in (key_help(kind) if helps is None else helps).items():
         if in_force and evidence and name in evidence:
             lines += comment_lines(f"Evidence: {evidence[name]}.")
-        value = json.dumps(values[name]) if name in values else example_of(kind, name)
+        value = toml_value(values[name]) if name in values else example_of(kind, name)
         line = f"{'' if in_force and name in values else '# '}{name} = {value}".rstrip()
         beside = f"{line}  # {words}".removesuffix(".") if words else line
         lines += [beside] if len(beside) <= 120 else [*comment_lines(words), line]
     return [*lines, ""]
+
+
+def toml_value(value: Any) -> str:
+    """A value as TOML has it: JSON's text, with the characters that TOML refuses in place as escapes."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(toml_value, value))}]"
+    if not isinstance(value, str):
+        return json.dumps(value)
+    # TOML has no surrogates, neither as escapes of other characters nor alone.
+    text = json.dumps(value.encode("utf-8", "replace").decode(), ensure_ascii=False)
+    return "".join(one if one.isprintable() else f"\\U{ord(one):08x}" for one in text)
 
 
 def example_of(kind: Any, name: str) -> str:
@@ -349,7 +361,8 @@ def settings_text(kind: Any, table: str = "", about: str = "") -> str:
 
 def comment_lines(words: str, start: str = "# ") -> list[str]:
     """The words as comments of a TOML file."""
-    return textwrap.wrap(" ".join(words.split()), 110, initial_indent=start, subsequent_indent=start)
+    words = in_plain_letters(" ".join(words.split()))  # names of columns may have control characters
+    return textwrap.wrap(words, 110, initial_indent=start, subsequent_indent=start)
 
 
 def write_template(path: Path, content: str) -> None:

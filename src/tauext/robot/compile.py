@@ -107,6 +107,10 @@ def has_inertial(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> bool:
 
 def read_mjcf(file: XmlFile) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     """Read an MJCF. If its shapes or looks cannot be read, those that no inertia depends on are left out."""
+    for element in file.root:
+        if element.tag in ("body", "frame", "replicate"):  # MuJoCo reads none there, and reports nothing
+            of = f" '{element.get('name')}'" if element.get("name") else ""
+            raise file.error(element, f"<{element.tag}>{of} lies outside of <worldbody>; move it into <worldbody>")
     for element in file.root.iter():
         named = element.get("file")
         if named and (beside := file.path.parent / named).exists() and not beside.is_file():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import math
 import os
@@ -360,6 +361,17 @@ def load_tree(
     model = compiled(path)
     choice = choose_joints(model, joints, locked or {}, str(path))
     check_constraints(model, choice.joint_ids, str(path))
+    return make_tree(model, choice.joint_ids, choice.qpos, _gravity(model, gravity), str(path))
+
+
+def tree_with_inertias(
+    path: Path, joints: Sequence[str], gravity: Sequence[float] | None, principal: Mapping[str, np.ndarray]
+) -> Tree:
+    """As load_tree(), with other principal moments of inertia (3,), [kg m^2], by name of the link."""
+    model = copy.copy(compiled(path))
+    for name, moments in principal.items():
+        model.body(name).inertia[:] = moments
+    choice = choose_joints(model, joints, {}, str(path))
     return make_tree(model, choice.joint_ids, choice.qpos, _gravity(model, gravity), str(path))
 
 

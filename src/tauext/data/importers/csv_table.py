@@ -69,6 +69,8 @@ class Dialect:
     header: bytes = b""
     """Line of the names, as logs that are appended to repeat it; empty: none."""
     notes: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
+    """Cells of the line of units under the names; empty: there is none."""
 
     @property
     def kept(self) -> tuple[str, ...]:
@@ -112,7 +114,8 @@ def open_csv(path: Path) -> list[RawRecording]:
     unread = unread_times({name: [row[dialect.names.index(name)] for row in rows] for name in others})
     stated, row_word = _stated(lines[: dialect.first_line]), ("line", dialect.first_line + 1)
     clocks, counts = (clock, ""), Counter[str]()
-    how = (notes, counts, reader.lost, clocks, stated, row_word, unread)
+    units = dict(zip(dialect.names, dialect.units, strict=True)) if dialect.units else {}
+    how = (notes, counts, reader.lost, clocks, stated, row_word, units, unread)
     return [RawRecording(name, path, "CSV", reader.blocks, *how)]
 
 
@@ -369,12 +372,13 @@ def _named(path: Path, dialect: Dialect, lines: list[str], above: list[int], row
         names = [*names, ""] if trailing else ["", *names]
     header = lines[fitting[-1][0]].strip().encode() if fitting else b""
     names = [name or f"column{k + 1}" for k, name in enumerate(names)]
+    units = tuple(fitting[0][1]) if len(fitting) > 1 and len(fitting[0][1]) == count else ()
     for name, times in Counter(names).items():
         if times > 1:
             notes.append(f"{times} columns are named '{name}': they are {name}[0] to {name}[{times - 1}]")
             for number, k in enumerate([k for k, one in enumerate(names) if one == name]):
                 names[k] = f"{name}[{number}]"
-    return replace(dialect, names=tuple(names), header=header, notes=tuple(filter(None, notes)))
+    return replace(dialect, names=tuple(names), header=header, notes=tuple(filter(None, notes)), units=units)
 
 
 def _header_cells(line: str, separator: str, rows: list[list[str]]) -> list[str]:

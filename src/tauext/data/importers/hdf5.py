@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+import struct
 import warnings
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
@@ -65,6 +67,8 @@ class Content:
     """Lists of texts."""
     objects: list[str] = field(default_factory=list)
     """MATLAB objects with their class."""
+    units: dict[tuple[str, ...], str] = field(default_factory=dict)
+    """Units that attributes of arrays state."""
 
     def add(self, path: tuple[str, ...], shape: Sequence[int], held: Any) -> None:
         """Add an array; one of a single number is a scalar."""
@@ -216,7 +220,8 @@ def recordings(path: Path, kind: str, separator: str, content: Content, opened: 
         above = {one.path[:depth] for one in used for depth in range(len(one.path) + 1)}
         rates = {entry: stated_hz(entry[-1], value) for entry, value in content.scalars.items() if entry[:-1] in above}
         stated = {separator.join(entry): hz for entry, hz in rates.items() if hz}
-        found.append(RawRecording(stem, path, kind, blocks, notes, stated_hz=stated))
+        units = {names[one.path]: content.units[one.path] for one in used if one.path in content.units}
+        found.append(RawRecording(stem, path, kind, blocks, notes, stated_hz=stated, units=units))
     if not found:
         raise RecordingError(f"{path}: {refused[0] if refused else _no_signals(content.arrays)}")
     if refused:
@@ -270,6 +275,8 @@ BROKEN = (OSError, RuntimeError, ValueError, KeyError, TypeError, MemoryError)
 MAGIC = b"\x89HDF\r\n\x1a\n"
 MOST_CHUNK = 1 << 27
 """Largest chunk of a dataset, [bytes]: the library unpacks all of it for a few rows."""
+MOST_UNPACKED, RATIO = 1 << 28, 200
+"""Bytes that a file may unpack to, whatever its size, and as a multiple of its size: an arm at rest has below 100."""
 MOST_WORDS = 1 << 20
 """Largest list of names or of cells, [bytes]."""
 
@@ -353,6 +360,13 @@ def _expect_readable(path: Path, dataset: Any) -> None:
     """Raise RecordingError where rows are stated but not in the file, or cannot be unpacked a few at a time."""
     import h5py
 
+    stored = dataset.id.get_storage_size()
+    if dataset.nbytes > max(MOST_UNPACKED, RATIO * path.stat().st_size, RATIO * stored):
+        raise RecordingError(
+            f"{path}: '{dataset.name}' states {in_words(dataset.nbytes)}, and {in_words(stored)} are stored; no "
+            "recording is packed like that"
+        )
+    plist = dataset.id.get_create_plist()
     if dataset.size and dataset.chunks and not dataset.id.get_storage_size():
         raise RecordingError(
             f"{path}: '{dataset.name}' states {dataset.shape[0]:,} rows, and none was written; record the file again"
@@ -362,7 +376,6 @@ def _expect_readable(path: Path, dataset: Any) -> None:
             f"{path}: '{dataset.name}' is stored in chunks of {in_words(size)}, and {in_words(MOST_CHUNK)} are the "
             "most; write it with smaller chunks, of some thousand rows"
         )
-    plist = dataset.id.get_create_plist()
     for k in range(plist.get_nfilters()):
         number, *_, name = plist.get_filter(k)
         if not h5py.h5z.filter_avail(number):
@@ -371,6 +384,18 @@ def _expect_readable(path: Path, dataset: Any) -> None:
                 f"{path}: '{dataset.name}' is compressed by the filter '{label}', which is not available here; write "
                 "the file with gzip, or without compression"
             )
+
+
+def _expect_inside(dataset: Any) -> None:
+    """Raise RecordingError where a dataset is stored in other files: a log must not read any file of the computer."""
+    others = [str(one[0]) for one in dataset.external or ()]
+    if dataset.is_virtual:
+        others += [source.file_name for source in dataset.virtual_sources() if source.file_name != "."]
+    if others:
+        raise RecordingError(
+            f"{dataset.file.filename}: '{dataset.name}' is stored in other files ({short_list(map(repr, others), 3)}), "
+            "which are not read; write the numbers into this file, for example with h5repack"
+        )
 
 
 class _Walk:
@@ -392,6 +417,8 @@ class _Walk:
         for name in item.attrs:
             value = item.attrs.get(name)
             self.number((*path, str(name)), value)
+            if re.fullmatch(r"units?", str(name), re.IGNORECASE) and np.ndim(value) == 0:
+                self.content.units[path] = _word(value)
             if JOINT_NAMES.fullmatch(str(name)) and np.ndim(value) == 1:
                 self.content.words[(*path, str(name))] = tuple(map(_word, value))
 
@@ -410,7 +437,13 @@ class _Walk:
 
     def frame(self, path: tuple[str, ...], group: Any) -> None:
         """A pandas table: blocks of columns of one type, and the index."""
+        import h5py
+
         for name in group:
+            if isinstance(group.get(name, getlink=True), h5py.HardLink) and isinstance(group[name], h5py.Dataset):
+                _expect_inside(group[name])
+            else:
+                continue
             if match := re.fullmatch(r"block(\d+)_values", name):
                 items = group[f"block{match[1]}_items"]
                 words = tuple(_word(one) for one in items[()]) if items.nbytes <= MOST_WORDS else ()
@@ -423,6 +456,7 @@ class _Walk:
     def dataset(self, path: tuple[str, ...], item: Any) -> None:
         import h5py
 
+        _expect_inside(item)
         kind = _word(item.attrs.get("MATLAB_class", ""))
         if item.parent.name in self.frames or item.shape is None or item.attrs.get("MATLAB_empty", 0):
             return
@@ -449,6 +483,9 @@ class _Walk:
         import h5py
 
         targets = [self.file[one] for one in np.ravel(item[()]) if one]
+        for target in targets:
+            if isinstance(target, h5py.Dataset):
+                _expect_inside(target)
         if cell and all(_word(t.attrs.get("MATLAB_class", "")) == "char" for t in targets):
             self.content.words[path] = tuple("".join(map(chr, np.ravel(t[()]).tolist())) for t in targets)
             return
@@ -475,6 +512,8 @@ def _word(value: Any) -> str:
 # --- MATLAB files: version 5 to 7 by SciPy, version 7.3 as HDF5.
 
 
+MATLAB_COMPRESSED = 15
+"""Type of a compressed element."""
 MATLAB_MAGICS = (b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file")
 
 
@@ -492,6 +531,7 @@ def open_matlab(path: Path) -> list[RawRecording]:
     # SciPy raises many types on damaged files.
     with whole(path, "a MATLAB file", (Exception,)), warnings.catch_warnings():
         warnings.simplefilter("ignore")
+        _expect_unpacked(path)
         loaded = loadmat(path, struct_as_record=False, squeeze_me=True)
         content = Content()
         for name, value in loaded.items():
@@ -503,6 +543,33 @@ def open_matlab(path: Path) -> list[RawRecording]:
         yield lambda held: held
 
     return recordings(path, "MATLAB", ".", content, opened)
+
+
+def _expect_unpacked(path: Path) -> None:
+    """Refuse a MATLAB file that unpacks to far more than its size, before SciPy unpacks it."""
+    size = path.stat().st_size
+    most = max(MOST_UNPACKED, RATIO * size)
+    if size * 1032 <= most:  # DEFLATE packs no better
+        return
+    unpacked = 0
+    with path.open("rb") as file:
+        order = "<" if file.read(128)[126:128] == b"IM" else ">"
+        while len(tag := file.read(8)) == 8:
+            kind, left = struct.unpack(f"{order}II", tag)
+            end = file.tell() + left
+            if kind == MATLAB_COMPRESSED:
+                stream = zlib.decompressobj()
+                while left > 0 and (packed := file.read(min(left, 1 << 16))):
+                    left -= len(packed)
+                    while packed and not stream.eof:
+                        unpacked += len(stream.decompress(packed, 1 << 20))
+                        packed = stream.unconsumed_tail
+                        if unpacked > most:
+                            raise RecordingError(
+                                f"{path}: it unpacks to more than {in_words(most)}, from {in_words(size)}; no "
+                                "recording is packed like that"
+                            )
+            file.seek(end)
 
 
 def _add_matlab(content: Content, path: tuple[str, ...], value: Any) -> None:

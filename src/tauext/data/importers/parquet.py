@@ -48,7 +48,8 @@ def open_parquet(path: Path) -> list[RawRecording]:
     notes = clock_notes(stamps, clock) if clock else []
     if others:
         notes.append(f"columns without numbers left out: {short_list(others)}")
-    raw = RawRecording(path.stem, path, table.kind, lambda: table.blocks(used, raw), notes, clocks=(clock, ""))
+    clocks, units = (clock, ""), table.units()
+    raw = RawRecording(path.stem, path, table.kind, lambda: table.blocks(used, raw), notes, clocks=clocks, units=units)
     return [raw]
 
 
@@ -123,6 +124,12 @@ class _Table:
                 leaves.append(Leaf(name, column, kind, count, different=different))
         leaves = [replace(one, labels=words.get(one.count, ())) for one in leaves]
         return leaves, others + [name for name in schema.names if name not in first.schema.names]
+
+    def units(self) -> dict[str, str]:
+        """Units that the metadata of columns state."""
+        fields = ((field.name, field.metadata or {}) for field in self._schema())
+        stated = ((name, held.get(b"unit", held.get(b"units", b""))) for name, held in fields)
+        return {name: unit.decode(errors="replace") for name, unit in stated if unit}
 
     def _schema(self) -> Any:
         if self.kind == "Parquet":

@@ -87,6 +87,8 @@ class RawRecording:
     """Rates that the file states beside its stamps, [Hz], by the name of the entry."""
     row_word: tuple[str, int] = ("row", 1)
     """What a row is called, and the number of the first: ("line", 2) of a CSV file with a header."""
+    units: dict[str, str] = field(default_factory=dict)
+    """Units that the file states beside the names of columns: in a line under them, or as an attribute."""
     unread_times: dict[str, str] = field(default_factory=dict)
     """Columns of text that may hold times in a form that is not read, with a cell of each."""
 

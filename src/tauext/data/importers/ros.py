@@ -309,7 +309,10 @@ JOINTS = ("JointState", "DynamicJointState", "JointStates", "FrankaRobotState", 
 
 
 def chosen_topics(path: Path, channels: Iterable[Channel], topics: Sequence[str]) -> tuple[str, ...]:
-    """Return the topics named, else the only one of type JointState with messages, or of another type in JOINTS."""
+    """Return the topics named, else those of type JointState with messages, or of another type in JOINTS.
+
+    Of several, the description names the arm's.
+    """
     there: dict[str, tuple[str, int]] = {}
     for channel in channels:
         count = there.get(channel.topic, ("", 0))[1]
@@ -337,13 +340,7 @@ def chosen_topics(path: Path, channels: Iterable[Channel], topics: Sequence[str]
             f"{path}: no topic of type sensor_msgs/JointState with messages; it has {listed}. A trajectory is "
             "planned motion, not measured; another topic with measured signals can be named in arm.toml (topic = ...)"
         )
-    found = by_type[kind]
-    if len(found) > 1:
-        raise RecordingError(
-            f"{path}: {len(found)} topics are of type {there[found[0]][0].replace('/msg/', '/')}: "
-            f"{', '.join(sorted(found))}; name the one of each signal in arm.toml (topic = ...)"
-        )
-    return tuple(found)
+    return tuple(sorted(by_type[kind]))
 
 
 def expect_encodings(path: Path, channels: Iterable[Channel]) -> None:
@@ -417,6 +414,8 @@ def deserializer(channel: Channel) -> Callable[[bytes], Any]:
 # --- Files: one, or those in the folder of a ROS 2 bag.
 
 
+MOST_METADATA = 1 << 24
+"""Characters of metadata.yaml that are read; a bag of ten thousand files has a tenth of it."""
 MOST_OF_DISK = 0.5
 """Share of the free disk space that an unpacked bag may take."""
 KINDS: dict[bytes, Callable[[Path], BagFile]] = {
@@ -509,9 +508,10 @@ def _named_files(metadata: Path) -> list[str]:
     from ruamel.yaml.error import YAMLError
 
     try:
-        content = YAML(typ="safe").load(metadata.read_text())
+        with metadata.open(encoding="utf-8") as file:
+            content = YAML(typ="safe").load(file.read(MOST_METADATA))
         return [Path(name).name for name in content["rosbag2_bagfile_information"]["relative_file_paths"]]
-    except (YAMLError, OSError, KeyError, TypeError, UnicodeDecodeError) as error:
+    except (YAMLError, OSError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise RecordingError(f"{metadata}: not the metadata of a ROS 2 bag ({type(error).__name__})") from error
 
 

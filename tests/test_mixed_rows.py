@@ -1,0 +1,98 @@
+"""Rows of several origins: what alternates, joined stretches, arms on two topics, and recordings of two rates."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+import pytest
+from made_files import JOINTS, arm_text, clean_log, write
+from made_recordings import JOINTS as LEFT
+from made_recordings import joint_rows, write_bag
+
+from tauext.cli.recordings import write_template
+from tauext.data.description import parse_arm
+from tauext.data.importing import import_dataset
+from tauext.data.mixed_rows import alternating, joined
+from tauext.data.recording_file import load_recording
+from tauext.errors import ConfigError
+
+T_S = np.arange(2000) / 100.0
+MOTION = 0.8 * np.sin(2 * np.pi * T_S[:, None] * (0.3, 0.4, 0.5) + (0, 1, 2))
+
+
+def test_rows_of_one_arm_do_not_alternate():
+    noise = np.random.default_rng(0).normal(0, 1e-3, MOTION.shape)
+    at_the_seam = np.where(np.arange(2000)[:, None] % 2, 1, -1) * np.pi * np.ones(3)
+    one_sensor = MOTION.copy()
+    one_sensor[::2, 1] = 0.0
+    for q in (MOTION, MOTION + noise, at_the_seam, one_sensor, MOTION[::10], np.zeros((2000, 3)), MOTION[:3]):
+        assert not alternating(q)
+        assert joined(q, np.arange(len(q))) is None
+
+
+def test_rows_of_two_writers_at_other_rates_alternate():
+    order = np.random.default_rng(1).random(2000) < 0.3
+    q = MOTION.copy()
+    q[order] = MOTION[order] + 1.5
+    found = re.search(r"(\d+) and (\d+) of (\d+) rows alternate", alternating(q))
+    assert found is not None and abs(min(map(int, found.groups()[:2])) / int(found[3]) - 0.3) < 0.05
+    q[order] = 0.25
+    assert "the constant position 0.25, 0.25, 0.25 rad" in alternating(q)
+
+
+def test_joined_stretches_are_found_where_a_seam_does_not_show_and_spikes_are_none():
+    order = np.concatenate([np.arange(250) + 250 * k for k in (0, 2, 5, 1, 6, 3, 4, 7)])  # 3 is followed by 4
+    found = joined(MOTION[order], np.arange(2000))
+    assert found is not None and found.rows == 250 and found.begins.tolist() == list(range(250, 2000, 250))
+    assert 4 <= found.jumps <= 6
+    spiked = MOTION.copy()
+    spiked[200::200] += 1.0
+    assert joined(spiked, np.arange(2000)) is None
+    uneven = MOTION[np.r_[0:300, 900:1217, 400:811, 1500:1999]]
+    assert joined(uneven, np.arange(len(uneven))) is None
+
+
+def test_two_topics_of_joint_states_are_a_question_and_one_file_serves_both_arms(tmp_path, capsys):
+    rows = {"/left/joint_states": joint_rows(samples=2400), "/right/joint_states": joint_rows(JOINTS, samples=2400)}
+    bag = write_bag(tmp_path / "run", "sqlite3", rows)
+    arm = tmp_path / "arm.toml"
+    write_template(arm, (bag,), None)
+    text = arm.read_text()
+    assert text.count('topic = "?/left/joint_states"') == 3 and "/right/joint_states" in capsys.readouterr().err
+    with pytest.raises(ConfigError, match=r"\[signals.q\] topic has '\?/left/joint_states'"):
+        parse_arm(text)
+    for side in ("left", "right"):
+        out, described = tmp_path / side, tmp_path / f"{side}.toml"
+        names = json.dumps(JOINTS if side == "right" else LEFT)
+        chosen = re.sub(r'"\?/left', f'"/{side}', text)
+        described.write_text(re.sub(r"(?m)^joints = .*", f"joints = {names}", chosen))
+        import_dataset([bag], described, out, "tauext", lambda line: None)
+        assert any(out.glob("*.parquet"))
+    unasked = arm_text("ros1", JOINTS)
+    (tmp_path / "unasked.toml").write_text(unasked)
+    with pytest.raises(ConfigError, match=r"topic must be named, since run has several: /left/joint_states, /right"):
+        import_dataset([bag], tmp_path / "unasked.toml", tmp_path / "out", "tauext", lambda line: None)
+
+
+def test_recordings_of_two_rates_become_those_of_the_slower_one_and_the_cost_is_stated(tmp_path, monkeypatch):
+    monkeypatch.setattr("tauext.data.importing.exporting", lambda name: lambda recordings, part: len(list(recordings)))
+    paths = []
+    for name, rate_hz in (("sweep", 125.0), ("run", 89.0)):
+        folder = tmp_path / name
+        path = write("csv", folder, clean_log(1500, rate_hz))
+        paths.append(path.rename(folder / f"{name}.csv"))
+    (tmp_path / "arm.toml").write_text(arm_text("csv") + '[split]\ntrain = ["sweep.csv", "run.csv"]\n')
+    lines: list[str] = []
+    import_dataset(paths, tmp_path / "arm.toml", tmp_path / "out", "tauext", lines.append)
+    both = [load_recording(tmp_path / "out" / f"{name}.parquet") for name in ("sweep", "run")]
+    assert [one.rate_hz for one in both] == [89.0, 89.0]
+    fast = clean_log(1500, 125.0)
+    true = np.stack([np.interp(both[0].t_ns, fast.t_ns, column) for column in fast.q.T], axis=1)
+    np.testing.assert_allclose(both[0].q, true, atol=1e-12)
+    np.testing.assert_array_equal(both[1].q, clean_log(1500, 89.0).q)
+    (said,) = [line for line in lines if "resampled to 89 Hz" in line]
+    assert "recordings at 125 Hz (1 of 2)" in said and "Nm rms at" in said
+    with pytest.raises(ConfigError, match="run has 89 Hz, sweep 125 Hz; a dataset of this format has one rate"):
+        import_dataset(paths, tmp_path / "arm.toml", tmp_path / "other", "one-rate", lines.append)

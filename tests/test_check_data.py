@@ -86,8 +86,9 @@ def kept(bundle: Path) -> dict:
 
 
 def train(data: Path, out: Path, *options: str) -> int:
-    recipe = ["--recipe", "observer", "--limits", "paper"]
-    return main(["train", "--data", str(data), "--out", str(out), *recipe, *options])
+    given = {"--recipe": "observer", "--limits": "paper"}
+    few = [word for name, value in given.items() if name not in options for word in (name, value)]
+    return main(["train", "--data", str(data), "--out", str(out), *few, *options])
 
 
 def test_good_data_is_trained_on_and_the_bundle_holds_the_checks(data, tmp_path, capsys):

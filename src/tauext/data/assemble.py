@@ -507,7 +507,8 @@ def _cleaned(stream: str, table: Table, arm: Arm, columns: Columns, counts: Coun
     signals = [columns.signals[key] for key in REQUIRED_SIGNALS if key in columns.signals]
     measured = [k for at, indices in signals if at == stream for k in indices]
     if measured and len(t_ns):
-        own = {key: columns.signals[key][1] for key in ("q", "tau") if columns.signals.get(key, ("",))[0] == stream}
+        here = {key: columns.signals[key] for key in ("q", "tau") if key in columns.signals}
+        own = {key: indices for key, (at, indices) in here.items() if at == stream}
         unit = arm.signals["q"].unit
         bad = unmeasured(
             t_ns,

@@ -186,7 +186,7 @@ def put_asked(bundle: Bundle, motion: LimitMotion, config: AskedConfig = AskedCo
             "hours": worst.hours,
             "factor": factor,
             "largest_seen": float(worst.peaks[0] / factor),
-            "floors_nm": [] if floors is None else floors.tolist(),
+            "floors_nm": [] if floors is None else floors[:, np.array(bundle.monitored)].tolist(),
         }
         facts |= {
             "sentence": asked_sentence(asked, facts["extrapolated"], promised),

@@ -360,14 +360,8 @@ def _expect_readable(path: Path, dataset: Any) -> None:
     """Raise RecordingError where rows are stated but not in the file, or cannot be unpacked a few at a time."""
     import h5py
 
-    stored = dataset.id.get_storage_size()
-    if dataset.nbytes > max(MOST_UNPACKED, RATIO * path.stat().st_size, RATIO * stored):
-        raise RecordingError(
-            f"{path}: '{dataset.name}' states {in_words(dataset.nbytes)}, and {in_words(stored)} are stored; no "
-            "recording is packed like that"
-        )
-    plist = dataset.id.get_create_plist()
-    if dataset.size and dataset.chunks and not dataset.id.get_storage_size():
+    stored, plist = dataset.id.get_storage_size(), dataset.id.get_create_plist()
+    if dataset.size and dataset.chunks and not stored:
         raise RecordingError(
             f"{path}: '{dataset.name}' states {dataset.shape[0]:,} rows, and none was written; record the file again"
         )
@@ -375,6 +369,11 @@ def _expect_readable(path: Path, dataset: Any) -> None:
         raise RecordingError(
             f"{path}: '{dataset.name}' is stored in chunks of {in_words(size)}, and {in_words(MOST_CHUNK)} are the "
             "most; write it with smaller chunks, of some thousand rows"
+        )
+    if dataset.nbytes > max(MOST_UNPACKED, RATIO * path.stat().st_size, RATIO * stored):
+        raise RecordingError(
+            f"{path}: '{dataset.name}' states {in_words(dataset.nbytes)}, and {in_words(stored)} are stored; no "
+            "recording is packed like that"
         )
     for k in range(plist.get_nfilters()):
         number, *_, name = plist.get_filter(k)

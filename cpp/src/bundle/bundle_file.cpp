@@ -222,8 +222,13 @@ Bundle decode(std::span<const char> bytes) {
   Reader reader(payload);
   Bundle bundle;
   field(reader, bundle);
-  if (!reader.done()) of_known_weight(reader, bundle);
-  if (!reader.done()) throw Error("it has contents that this version does not know");
+  const auto unknown = [] { return Error("it has contents that this version does not know"); };
+  try {
+    if (!reader.done()) of_known_weight(reader, bundle);
+  } catch (const Error&) {
+    throw unknown();
+  }
+  if (!reader.done()) throw unknown();
   return bundle;
 }
 

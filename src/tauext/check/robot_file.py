@@ -371,9 +371,10 @@ def payload_of(x: Examination, strong: Sequence[int]) -> tuple[Finding, _core.Tr
     load, strong = fit_load(x.motion, x.model, x.rows), list(strong)
     gain = np.log(load.error_without_nm[strong] / load.error_nm[strong]).sum()
     sure = abs(load.mass_kg) > max(LEAST_KG, 5.0 * load.mass_error_kg)
-    # [m]; no tool is further out, none weighs less than nothing, and a load that is there makes no joint's error larger
+    # [m]; no tool is further out, none weighs less than nothing, and taking one away makes no joint's error larger. One
+    # that is added may: the joints before it have errors of their own, which it uncovers.
     possible = np.linalg.norm(load.com_m) <= 0.6 and load.mass_kg + x.model.links[-1].mass > 0
-    better = bool((load.error_nm[strong] < 1.05 * load.error_without_nm[strong]).all())
+    better = load.mass_kg > 0 or bool((load.error_nm[strong] < 1.05 * load.error_without_nm[strong]).all())
     if not strong or not sure or gain < 0.5 or not possible or not better:
         return None
     changes = ", ".join(f"'{x.joints[j]}' {load.error_without_nm[j]:.3g} to {load.error_nm[j]:.3g}" for j in strong)

@@ -8,7 +8,7 @@ from resting_joints import COUNT, Cell, cells
 STEP = 46993
 """No factor of it is one of the lists' lengths: neighbours differ in every choice."""
 CHUNK = 10
-CHUNKS = 12
+CHUNKS = 4
 FEW = (59173, 5311)
 """Always used: without noise, NaN came of the choice of the gain; no model."""
 

@@ -231,7 +231,7 @@ def left_out_sentences(recordings: Sequence[Recording], config: TrainConfig) -> 
 
 
 def expect_known(recordings: Sequence[Recording]) -> None:
-    """Raise TrainingError where labels are there, and all of them say that the contact is unknown."""
+    """Raise TrainingError where labels are there, and all of them are -1: the contact is unknown."""
     if all(one.contact is not None and (one.contact == -1).all() for one in recordings):
         raise TrainingError(
             f"contact = -1, unknown, in all samples of {len(recordings)} training recordings, so none is known to be "

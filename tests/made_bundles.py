@@ -13,7 +13,7 @@ from tauext import _core
 from tauext.config import ObserverConfig
 from tauext.data.recording import Recording
 from tauext.fit.bundle_writing import build_setup, make_bundle
-from tauext.fit.torque_constants import with_constants
+from tauext.fit.torque_constants import TorqueConstants, with_constants
 from tauext.robot.read import load_tree
 
 SEVEN_AXIS = Path(__file__).parents[1] / "benchmarks" / "seven_axis.urdf"
@@ -114,10 +114,24 @@ def with_error_scale(bundle: _core.Bundle, per_speed: float = 1.0) -> _core.Bund
 
 def taking_amperes(bundle: _core.Bundle, nm_per_ampere: np.ndarray) -> _core.Bundle:
     """The same bundle for currents: it says of tau / nm_per_ampere what it said of tau."""
-    bundle.observer = with_constants(bundle.observer, nm_per_ampere)
+    bundle.observer = with_constants(bundle.observer, constants_of(nm_per_ampere))
     bundle.units = _core.TorqueUnits(_core.TorqueUnit.ampere)
     bundle.scale_reference((1 / nm_per_ampere).tolist())
     return bundle
+
+
+def without_constants(bundle: _core.Bundle, joints: Sequence[int]) -> _core.Bundle:
+    """The same bundle, whose tau is in N m, with these joints in amperes of unknown torque constants."""
+    bundle.observer = with_constants(bundle.observer, constants_of(np.ones(bundle.joints), joints))
+    bundle.units = _core.TorqueUnits(_core.TorqueUnit.ampere)
+    bundle.answer_reference()
+    return bundle
+
+
+def constants_of(nm_per_ampere: np.ndarray, unknown: Sequence[int] = ()) -> TorqueConstants:
+    """These torque constants, without errors; those of the unknown joints are undetermined."""
+    known = ~np.isin(np.arange(len(nm_per_ampere)), unknown)
+    return TorqueConstants(nm_per_ampere, np.where(known, 0.0, np.inf), known)
 
 
 def constant_error_scale(sigma_nm: Sequence[float]) -> _core.ErrorScaleSettings:

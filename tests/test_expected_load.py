@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made_arms import six_axis_tree
+from made_bundles import without_constants
 from made_live import Keeper, ScriptedSource, samples_of
 
 from tauext import _core
@@ -15,7 +16,6 @@ from tauext.config import ObserverConfig
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.fit.bundle_writing import build_setup, make_bundle
-from tauext.fit.torque_constants import with_constants
 from tauext.monitor.cell_file import load_cell
 from tauext.monitor.changes import ChangeFinder, FoundLoad
 from tauext.monitor.control_lines import obey
@@ -71,9 +71,9 @@ def rows(recording: Recording, begin: int, end: int | None) -> list[np.ndarray]:
 
 def in_amperes(bundle: _core.Bundle) -> _core.Bundle:
     """The bundle whose last joint answers in amperes: how far off its axis a load is stays open for a while."""
-    less = _core.Bundle.from_bytes(bundle.to_bytes())
-    less.observer = with_constants(less.observer, np.ones(6))
-    less.units = _core.TorqueUnits(_core.TorqueUnit.ampere, -1, [0, 0, 0, 0, 0, 1])
+    less = without_constants(_core.Bundle.from_bytes(bundle.to_bytes()), [5])
+    less.sliding_limit_nm = less.near_stiction_limit_nm = [*LIMITS[:5], 10 * LIMITS[5]]  # its own weight is in r there
+    less.contact_sliding_limit_nm = less.contact_near_stiction_limit_nm = less.sliding_limit_nm
     less.largest_torque_nm = [100.0] * 6
     prior = less.prior
     prior.most_load_nm = [60.0] * 6

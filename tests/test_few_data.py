@@ -222,7 +222,7 @@ def test_currents_get_their_constants_back_and_the_core_applies_them():
         np.testing.assert_allclose(one.nm_per_unit, constants, rtol=0.01)
     setup = build_setup(planar_arm(), torque, ObserverConfig())
     arrays = (current.t_ns, current.q, current.dq)
-    r = _core.observe(planar_arm(), with_constants(setup.observer, found.used), *arrays, current.tau).residual
+    r = _core.observe(planar_arm(), with_constants(setup.observer, found), *arrays, current.tau).residual
     of_torque = _core.observe(planar_arm(), setup.observer, *arrays, current.tau * found.used).residual
     np.testing.assert_array_equal(r, of_torque)
 

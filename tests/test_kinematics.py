@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made_arms import no_model, planar_arm, prismatic_mass, random_states, settings
+from made_bundles import constants_of
 from made_recordings import made_motion
 
 from tauext import _core
@@ -169,7 +170,7 @@ def test_what_shows_of_a_load_does_not_depend_on_the_unit_of_the_torque():
     setup = replace(setup_of(arm()), tree=arm())
     made = made_motion(arm(), 0.5, pieces=1).recordings
     in_amperes = [replace(one, tau=one.tau / 50.0) for one in made]
-    known = replace(setup, observer=with_constants(setup.observer, [50.0] * 4))
+    known = replace(setup, observer=with_constants(setup.observer, constants_of(np.full(4, 50.0))))
     shows = weighs_on(setup, made, Inertia(load=ESTIMATED))
     assert shows.tolist() == [False, True, True, False]
     np.testing.assert_array_equal(weighs_on(known, in_amperes, Inertia(load=ESTIMATED)), shows)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from made_arms import random_states, seven_axis, six_axis, urdf
+from made_bundles import without_constants
 from made_live import Keeper, ScriptedSource, samples_of
 from tauext_lab.report.flight import facts
 from tauext_lab.report.flight_file import load_flight
@@ -20,7 +21,6 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
 from tauext.errors import ConfigError, RobotError
 from tauext.fit.bundle_writing import build_setup, make_bundle
-from tauext.fit.torque_constants import with_constants
 from tauext.monitor.cell_file import load_cell
 from tauext.monitor.changes import LoadChange
 from tauext.monitor.control_lines import obey
@@ -447,9 +447,7 @@ def test_a_last_axis_that_nothing_weighs_on_may_point_anywhere():
 def test_a_joint_in_amperes_does_not_forbid_loads_and_its_limit_rises_by_all_that_one_may_show(arm):
     bundle, free, _ = arm
     ampere = replace(free, tau=free.tau / [1, 1, 1, 1, 1, 5.0])
-    less = _core.Bundle.from_bytes(bundle.to_bytes())
-    less.observer = with_constants(less.observer, np.ones(6))
-    less.units = _core.TorqueUnits(_core.TorqueUnit.ampere, -1, [0, 0, 0, 0, 0, 1])
+    less = without_constants(_core.Bundle.from_bytes(bundle.to_bytes()), [5])
     prior = less.prior
     prior.most_load_nm = [1.2 * 50.0] * 6
     less.prior = prior
@@ -468,7 +466,6 @@ def test_a_joint_in_amperes_does_not_forbid_loads_and_its_limit_rises_by_all_tha
     # A sample later: the load's own filter steps behind the answer.
     np.testing.assert_allclose(said["doubt"][late, 5][1:], units[5] * shows[:-1], rtol=1e-6, atol=1e-9)
     assert shows.max() > 0.1 and np.abs(said["doubt"][late, :5]).max() < 1e-9
-    less.units = _core.TorqueUnits(_core.TorqueUnit.ampere, -1, [0, 0, 1, 1, 1, 1])
-    less.assume_load()
+    without_constants(less, [2, 3, 4, 5]).assume_load()
     assert less.load_settings.refused.startswith("only 2 of 6 joints in N m")
     assert less.load_settings.refused.endswith("and a mass weighs newtons")

@@ -51,6 +51,20 @@ def test_without_a_model_the_residual_is_the_low_passed_motor_torque_with_its_si
         np.testing.assert_allclose(r[k], expected, atol=1e-12)
 
 
+@pytest.mark.parametrize("method", ["momentum", "direct"])
+def test_r_of_a_joint_whose_torque_constant_is_unknown_is_without_the_model_alone(method):
+    """A model's torque is in N m, and that joint's tau in amperes."""
+    rng = np.random.default_rng(4)
+    arrays = (regular_times(500), *(rng.normal(size=(500, 2)) for _ in range(3)))
+    kept = {"gain_per_s": GAIN, "timing": _core.TorqueTiming.held, "sample_period_ns": 1_000_000, "network_stride": 10}
+    kept["method"] = getattr(_core.ResidualMethod, method)
+    known = _core.ObserverSettings(**kept)
+    unknown = _core.ObserverSettings(**kept, nm_per_unit=[1.0, 1.0], unknown_constant=[1, 0])
+    r = _core.observe(planar_arm(), unknown, *arrays).residual
+    np.testing.assert_array_equal(r[:, 0], _core.observe(no_model(planar_arm()), known, *arrays).residual[:, 0])
+    np.testing.assert_array_equal(r[:, 1], _core.observe(planar_arm(), known, *arrays).residual[:, 1])
+
+
 def simulated_step(rate_hz: float) -> tuple[np.ndarray, ...]:
     """The arm without friction in MuJoCo, held by its gravity torque; after 1 s a step of 30 Nm on joint 1."""
     model = mujoco.MjModel.from_xml_string(PLANAR_MJCF)

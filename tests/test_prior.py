@@ -11,6 +11,7 @@ from functools import cache
 import numpy as np
 import pytest
 from made_arms import no_model, planar_arm, regular_times, settings
+from made_bundles import constants_of
 
 from tauext import _core
 from tauext.config import PriorConfig
@@ -20,6 +21,7 @@ from tauext.fit.prior import Inertia, find_ripple, fit_friction, fit_prior, fit_
 from tauext.fit.prior_terms import CORRECTED as BY_CORRECTED
 from tauext.fit.prior_terms import ESTIMATED as BY_ESTIMATED
 from tauext.fit.prior_terms import PriorFit, encoder_count, has_model, own_terms, shared_terms
+from tauext.fit.torque_constants import with_constants
 from tauext.fit.training_set import Setup
 from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial_parameters
 from tauext.robot.model_case import perturbed
@@ -391,6 +393,27 @@ def test_a_wrong_mass_and_a_wrong_centre_of_mass_are_found_and_a_right_one_stays
     q, dq = (np.random.default_rng(1).uniform(-2, 2, (200, 2)) for _ in range(2))
     for ours, theirs in zip(corrected.momentum(q, dq), planar_arm().momentum(q, dq), strict=True):
         assert np.abs(ours - theirs).max() < 5e-3 * np.abs(theirs).max()
+
+
+def test_a_joint_of_unknown_torque_constant_gets_friction_alone_and_the_model_of_the_others_is_found():
+    """Its amperes are a 38th of its torque, and gravity and inertia hardly show in them. A model in N m there would be
+    corrected until it vanishes in the poses of training, and in no others."""
+    wrong, k = perturbed(planar_arm(), mass_factor=0.5), 38.0
+    setup = setup_of(wrong)
+    setup = replace(setup, observer=with_constants(setup.observer, constants_of(np.ones(2), [0])))
+    alone = recordings(unloaded, tree=no_model(planar_arm()))
+    made = [
+        replace(one, tau=np.column_stack([of_friction.tau[:, 0] / k, one.tau[:, 1]]))
+        for one, of_friction in zip(recordings(unloaded), alone, strict=True)
+    ]
+    fit = fit_prior(setup, made[:3], CORRECTED)
+    found, true = (
+        base_parameters(tree) for tree in (_core.Tree(fit.settings.corrected_links, wrong.gravity), planar_arm())
+    )
+    np.testing.assert_allclose(found[[2, 3, 5, 6]], true[[2, 3, 5, 6]], rtol=0, atol=0.02)  # the elbow's own
+    for one in made[3:]:  # motion that was not trained on
+        left = remaining(setup, fit, one)
+        np.testing.assert_allclose(np.sqrt(np.mean(left**2, axis=0)), FILTERED_NOISE_NM / np.array([k, 1.0]), rtol=0.15)
 
 
 def test_corrections_that_only_the_ridge_decides_are_distinguished_from_those_that_the_data_do():

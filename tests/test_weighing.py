@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from made_arms import planar_rig, six_axis_tree, urdf
+from made_bundles import without_constants
 from made_live import replay
 from made_recordings import Drive, made_motion
 from scipy.optimize import least_squares
@@ -21,7 +22,6 @@ from tauext.data.recording import Recording
 from tauext.data.recording_file import save_recording
 from tauext.errors import ConfigError
 from tauext.fit.bundle_writing import build_setup, make_bundle
-from tauext.fit.torque_constants import with_constants
 from tauext.monitor.explanation import explain
 from tauext.monitor.flight_content import Flight, rows_kept
 from tauext.monitor.flight_files import FlightSource
@@ -184,9 +184,7 @@ def test_a_joint_in_amperes_weighs_nothing(arm, loaded_motion, free_motion, join
     found = []
     for nm_per_ampere in (0.1, 5.0):
         amperes = np.where(np.arange(6) == joint, 1 / nm_per_ampere, 1.0)
-        bundle = bundle_of(arm, replace(free_motion, tau=free_motion.tau * amperes))
-        bundle.observer = with_constants(bundle.observer, np.ones(6))
-        bundle.units = _core.TorqueUnits(_core.TorqueUnit.ampere, -1, [int(j == joint) for j in range(6)])
+        bundle = without_constants(bundle_of(arm, replace(free_motion, tau=free_motion.tau * amperes)), [joint])
         assert [j for j, weighs in enumerate(weighing_joints(bundle)) if not weighs] == [joint]
         motion = see(bundle, replace(loaded_motion, tau=loaded_motion.tau * amperes))
         found.append(identify(bundle, load_frame(bundle), [motion]))
@@ -604,9 +602,7 @@ def test_a_known_weight_skips_a_joint_without_a_constant_and_names_it(
 ):
     amperes = np.array([1, 1, 1, 1, 1, 0.2])
     recordings = [replace(one, tau=one.tau * amperes) for one in (free_motion, loaded_motion)]
-    bundle = bundle_of(arm, recordings[0])
-    bundle.observer = with_constants(bundle.observer, np.ones(6))
-    bundle.units = _core.TorqueUnits(_core.TorqueUnit.ampere, -1, [0, 0, 0, 0, 0, 1])
+    bundle = without_constants(bundle_of(arm, recordings[0]), [5])
     out = tmp_path / "right.tauext"
     command = [*saved(tmp_path, bundle, recordings[1]), "--known-kg", str(1.12 * MASS), "--out", str(out)]
     assert main(command) == 0
@@ -692,5 +688,5 @@ def test_nobody_weighs_in_another_unit_or_without_the_bundle(arm, free_motion):
     flight, source = flight_of(bundle, motion), FlightSource.of(bundle, motion)
     kept = rows_kept(flight)
     assert "fit a load" in explain(flight, kept, source)
-    bundle.units = _core.TorqueUnits(_core.TorqueUnit.ampere, -1, [1] * 6)
+    without_constants(bundle, range(6))
     assert "fit a load" not in explain(flight, kept, FlightSource.of(bundle, motion))

@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pinocchio_oracle as oracle
 import pytest
-from made_bundles import SEVEN_AXIS, seven_axis_bundle
+from made_bundles import SEVEN_AXIS, seven_axis_bundle, without_constants
 from scipy.stats import chi2
 from tauext_lab.evaluate.noticed_force import noticed_force
 
 from tauext import _core
-from tauext.fit.torque_constants import with_constants
 from tauext.robot.frames import wrench_frames
 from tauext.robot.read import load_tree
 from tauext.train.hits import points
@@ -314,9 +313,7 @@ def test_the_radius_is_that_of_the_tail():
 def without(own: list[int]) -> _core.Bundle:
     """The arm, these joints in amperes."""
     bundle = arm_bundle()
-    bundle.observer = with_constants(bundle.observer, np.ones(7))
-    bundle.units = _core.TorqueUnits(_core.TorqueUnit.ampere, -1, [int(j in own) for j in range(7)])
-    return bundle
+    return without_constants(bundle, own)
 
 
 @pytest.mark.parametrize("point", [None, [0.0, 0.02, 0.1]])

@@ -18,14 +18,10 @@ void bind_units(nb::module_& m) {
   nb::class_<TorqueUnits>(m, "TorqueUnits", "Units of the input tau and of the estimates; see bundle.hpp.")
       .def(
           "__init__",
-          [](TorqueUnits* u, TorqueUnit given, int relative_to, std::vector<std::uint8_t> unknown) {
-            new (u) TorqueUnits{given, relative_to, std::move(unknown)};
-          },
-          nb::arg("given") = TorqueUnit::newton_metre, nb::arg("relative_to") = -1,
-          nb::arg("unknown") = std::vector<std::uint8_t>())
+          [](TorqueUnits* u, TorqueUnit given, int relative_to) { new (u) TorqueUnits{given, relative_to}; },
+          nb::arg("given") = TorqueUnit::newton_metre, nb::arg("relative_to") = -1)
       .def_ro("given", &TorqueUnits::given)
-      .def_ro("relative_to", &TorqueUnits::relative_to)
-      .def_ro("unknown", &TorqueUnits::unknown);
+      .def_ro("relative_to", &TorqueUnits::relative_to);
 }
 
 void bind_error_settings(nb::module_& m) {

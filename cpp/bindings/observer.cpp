@@ -25,18 +25,21 @@ void bind_observer_settings(nb::module_& m) {
       .value("energy", ResidualMethod::energy);
   nb::class_<ObserverSettings>(m, "ObserverSettings",
                                "Gain K0 [1/s], torque timing, sample period [ns], network stride; residual method and the rates "
-                               "of its filters [1/s], 0: none; torque constants, factors on tau, empty: none.")
+                               "of its filters [1/s], 0: none; torque constants, factors on tau, empty: none; per joint 1 where the constant is unknown: tau and r in "
+                               "the input's unit, r without the model; empty: none is.")
       .def(
           "__init__",
           [](ObserverSettings* s, double gain_per_s, TorqueTiming timing, std::int64_t sample_period_ns,
              int network_stride, ResidualMethod method, double high_pass_per_s, double low_pass_per_s,
-             std::vector<double> nm_per_unit) {
-            new (s) ObserverSettings{gain_per_s, timing,          sample_period_ns, network_stride,
-                                     method,     high_pass_per_s, low_pass_per_s,   std::move(nm_per_unit)};
+             std::vector<double> nm_per_unit, std::vector<std::uint8_t> unknown_constant) {
+            new (s) ObserverSettings{gain_per_s,      timing,         sample_period_ns,       network_stride,
+                                     method,          high_pass_per_s, low_pass_per_s,        std::move(nm_per_unit),
+                                     std::move(unknown_constant)};
           },
           nb::kw_only(), nb::arg("gain_per_s"), nb::arg("timing"), nb::arg("sample_period_ns"),
           nb::arg("network_stride"), nb::arg("method") = ResidualMethod::momentum, nb::arg("high_pass_per_s") = 0.0,
-          nb::arg("low_pass_per_s") = 0.0, nb::arg("nm_per_unit") = std::vector<double>())
+          nb::arg("low_pass_per_s") = 0.0, nb::arg("nm_per_unit") = std::vector<double>(),
+          nb::arg("unknown_constant") = std::vector<std::uint8_t>())
       .def_ro("gain_per_s", &ObserverSettings::gain_per_s)
       .def_ro("timing", &ObserverSettings::timing)
       .def_ro("sample_period_ns", &ObserverSettings::sample_period_ns)
@@ -44,7 +47,8 @@ void bind_observer_settings(nb::module_& m) {
       .def_ro("method", &ObserverSettings::method)
       .def_ro("high_pass_per_s", &ObserverSettings::high_pass_per_s)
       .def_ro("low_pass_per_s", &ObserverSettings::low_pass_per_s)
-      .def_ro("nm_per_unit", &ObserverSettings::nm_per_unit);
+      .def_ro("nm_per_unit", &ObserverSettings::nm_per_unit)
+      .def_ro("unknown_constant", &ObserverSettings::unknown_constant);
 }
 
 void bind_prior_settings(nb::module_& m) {

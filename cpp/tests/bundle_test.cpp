@@ -259,8 +259,8 @@ void torque_constants_are_applied_saved_and_refused_by_name() {
   spoilt("nm_per_unit = nan", [](Bundle& c) { c.observer.nm_per_unit[0] = NAN; });
   spoilt("units.given", [](Bundle& c) { c.units.given = static_cast<TorqueUnit>(3); });
   spoilt("units.relative_to = 2", [](Bundle& c) { c.units.relative_to = 2; });
-  spoilt("units.unknown has 1", [](Bundle& c) { c.units.unknown = {1}; });
-  spoilt("units.unknown = 2", [](Bundle& c) { c.units.unknown = {0, 2}; });
+  spoilt("unknown_constant has 1", [](Bundle& c) { c.observer.unknown_constant = {1}; });
+  spoilt("unknown_constant = 2", [](Bundle& c) { c.observer.unknown_constant = {0, 2}; });
   spoilt("there are none", [](Bundle& c) {
     c.units.relative_to = 0;
     c.observer.nm_per_unit.clear();
@@ -274,7 +274,7 @@ void units_are_reported() {
   };
   Bundle b = make_scaled_bundle();
   CHECK(told(b) == "A|A|N m|N");
-  b.units.unknown = {1, 0};
+  b.observer.unknown_constant = {1, 0};
   CHECK(told(b) == "A|A|A / 2.5|N" && !b.in_newtons(0) && b.in_newtons(1));
   CHECK(b.too_few_in_newtons("so it is") == "only 1 of 2 joints in N m: joint 'joint1' answers in A / 2.5, and so it is");
   b.observer.nm_per_unit[0] = 1;
@@ -285,6 +285,7 @@ void units_are_reported() {
   CHECK(told(b) == "recorded unit|recorded unit|recorded unit|units of joint2");
   b.observer.nm_per_unit.clear();
   b.units = {};
+  b.observer.unknown_constant.clear();
   CHECK(told(b) == "N m|N|N m|N");
   b.observer.method = ResidualMethod::energy;
   CHECK(told(b) == "N m|N|W|W");

@@ -542,8 +542,9 @@ void what_is_hidden_is_stated() {
   CHECK(w.monitor.unmonitored(grip) == "within its bound of 1.5 N m, nothing is monitored on joint 'joint3' meanwhile");
   Bundle mixed = Watch::limited(7, 3);
   mixed.units.given = TorqueUnit::ampere;
-  mixed.units.unknown = {0, 0, 0, 0, 1, 0, 0};
+  mixed.observer.unknown_constant = {0, 0, 0, 0, 1, 0, 0};
   mixed.observer.nm_per_unit = std::vector<double>(7, 1.0);
+  answer_reference(mixed);
   const Monitor amperes(mixed);
   CHECK(amperes.unmonitored(press()).find("not in N m: joint5") != std::string::npos);
 }

@@ -33,7 +33,6 @@ enum class TorqueUnit : std::uint8_t {
 struct TorqueUnits {
   TorqueUnit given = TorqueUnit::newton_metre;  // of the input tau
   int relative_to = -1;               // joint in whose input unit torques are estimated; -1: N m
-  std::vector<std::uint8_t> unknown = {};  // per joint: 1: unknown constant, estimates in the input unit
 
   // Throws Error with the invalid field. constants: whether the bundle has torque constants.
   void validate(int joints, bool constants) const;

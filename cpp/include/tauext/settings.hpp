@@ -36,6 +36,9 @@ struct ObserverSettings {
   // Torque constants, one per joint: factors on the input tau, applied first. Empty: tau is in the unit of the
   // estimates already.
   std::vector<double> nm_per_unit = {};
+  // Per joint: 1: its torque constant is unknown. tau and r stay in the input's unit, and r is without the model, whose
+  // torque is in N m. Empty: none is.
+  std::vector<std::uint8_t> unknown_constant = {};
 
   // The slower rate of K0 and the low-pass. After ten times its inverse, r has forgotten a faulty sample.
   double slowest_per_s() const noexcept {
@@ -45,7 +48,11 @@ struct ObserverSettings {
   bool unfiltered_momentum() const noexcept {
     return method == ResidualMethod::momentum && !(high_pass_per_s > 0 || low_pass_per_s > 0);
   }
-  // Throws Error unless there are no torque constants or one per joint, each finite and not 0.
+  bool has_unknown_constant(std::size_t joint) const noexcept {
+    return joint < unknown_constant.size() && unknown_constant[joint] != 0;
+  }
+  // Throws Error unless there are no torque constants or one per joint, each finite and not 0, and what is unknown is
+  // one of them.
   void validate_constants(int joints) const;
 };
 

@@ -10,10 +10,7 @@ void TorqueUnits::validate(int joints, bool constants) const {
   if (given > TorqueUnit::recorded) throw Error("units.given is none of newton_metre, ampere, recorded");
   expect(relative_to >= -1 && relative_to < joints, "units.relative_to", relative_to,
          "-1 or one of " + std::to_string(joints) + " joints");
-  if (!unknown.empty()) expect_size("units.unknown", unknown.size(), static_cast<std::size_t>(joints));
-  expect_each("units.unknown", unknown, [](int one) { return one <= 1; }, "0 or 1");
-  if (!constants && (relative_to >= 0 || !unknown.empty()))
-    throw Error("units.relative_to and units.unknown need torque constants, and there are none");
+  if (!constants && relative_to >= 0) throw Error("units.relative_to needs torque constants, and there are none");
 }
 
 std::string Bundle::torque_unit(int joint) const {
@@ -25,7 +22,7 @@ std::string Bundle::torque_unit(int joint) const {
 std::string Bundle::estimate_unit(int joint) const {
   const auto at = static_cast<std::size_t>(joint);
   const bool slides = links.at(at).type == JointType::prismatic;
-  if (observer.nm_per_unit.empty() || (!units.unknown.empty() && units.unknown.at(at))) {
+  if (observer.nm_per_unit.empty() || observer.has_unknown_constant(at)) {
     const bool watts = observer.method == ResidualMethod::energy && units.given == TorqueUnit::newton_metre;
     const double times = observer.nm_per_unit.empty() ? 1.0 : observer.nm_per_unit.at(at);
     return (watts ? "W" : torque_unit(joint)) + (times == 1 ? "" : " / " + to_text(times));

@@ -112,7 +112,7 @@ void field(File& file, Bundle& b) {
   fields(file, b.name, b.provenance, b.links, b.gravity);
   fields(file, b.observer.gain_per_s, b.observer.timing, b.observer.sample_period_ns, b.observer.network_stride,
          b.observer.method, b.observer.high_pass_per_s, b.observer.low_pass_per_s, b.observer.nm_per_unit);
-  fields(file, b.units.given, b.units.relative_to, b.units.unknown);
+  fields(file, b.units.given, b.units.relative_to, b.observer.unknown_constant);
   fields(file, b.window_steps, b.inputs, b.input_factors);
   fields(file, b.shape.inputs, b.shape.hidden, b.shape.outputs);
   fields(file, b.parameters, b.output_scale_nm);

@@ -64,8 +64,13 @@ const char* name(ResidualMethod method) noexcept {
 }
 
 void ObserverSettings::validate_constants(int joints) const {
-  if (nm_per_unit.empty()) return;
+  if (nm_per_unit.empty()) {
+    if (!unknown_constant.empty()) throw Error("unknown_constant needs torque constants, and there are none");
+    return;
+  }
   expect_size("nm_per_unit", nm_per_unit.size(), static_cast<std::size_t>(joints));
+  if (!unknown_constant.empty()) expect_size("unknown_constant", unknown_constant.size(), static_cast<std::size_t>(joints));
+  expect_each("unknown_constant", unknown_constant, [](int one) { return one <= 1; }, "0 or 1");
   expect_each("nm_per_unit", nm_per_unit, [](double k) { return k != 0 && std::isfinite(k); }, "finite and not 0");
 }
 

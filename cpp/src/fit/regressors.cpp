@@ -58,7 +58,8 @@ LinkRegressors::LinkRegressors(const Tree& tree, const ObserverSettings& setting
         throw Error("a link has " + std::to_string(kParameters) + " parameters, none of them " + std::to_string(parameter));
       const bool rotor = parameter == LoadRegressor::kParameters;
       for (int j = link; j >= 0; j = rotor ? -1 : tree.links()[static_cast<std::size_t>(j)].parent)
-        cells_.push_back({links_.size() - 1, static_cast<std::size_t>(parameter), static_cast<std::size_t>(j), column});
+        if (!settings.has_unknown_constant(static_cast<std::size_t>(j)))
+          cells_.push_back({links_.size() - 1, static_cast<std::size_t>(parameter), static_cast<std::size_t>(j), column});
       ++column;
     }
   }

@@ -104,13 +104,15 @@ double PriorTerms::doubt(std::size_t term) const noexcept {
   return size * presliding_->doubt(t.a, t.b);
 }
 
-Prior::Prior(const PriorSettings& settings, const std::array<double, 3>& gravity, int joints, double gain_per_s)
+Prior::Prior(const PriorSettings& settings, const std::array<double, 3>& gravity, int joints, double gain_per_s,
+             std::uint32_t unknown)
     : joints_(joints),
       terms_((settings.validate(joints), settings), gravity),
       values_(settings.terms.size()),
       shares_(settings.most_load_nm.empty() ? std::vector<double>() : load_friction_shares(settings, joints)),
       temperature_(settings.temperature),
       has_presliding_(std::ranges::any_of(settings.terms, [](const Term& t) { return has_width(t) || t.kind == TermKind::local_memory; })),
+      unknown_(unknown),
       state_{MomentumObserver(joints, gain_per_s, TorqueTiming::held),
              MomentumObserver(joints, gain_per_s, TorqueTiming::held), false, false, {}} {
   for (std::size_t m = 0; m < terms_.size(); ++m) {
@@ -140,6 +142,7 @@ void Prior::sum(std::span<const double> q, std::span<const double> dq, const Pre
   terms_.compute(q, dq, presliding, beta);
   if (terms_.corrects_model())
     for (std::size_t i = 0; i < n; ++i) {
+      if (unknown_ >> i & 1) continue;
       p[i] = momentum[i] - terms_.corrected_momentum()[i];
       v[i] = beta[i] - terms_.corrected_beta()[i];
     }

@@ -100,8 +100,10 @@ class Prior {
     JointVector p, v, unknown;
   };
 
+  // unknown: joints whose torque constant is unknown, one bit each; no corrected model, in N m, is part of their prior.
   // Throws Error if the settings do not fit.
-  Prior(const PriorSettings& settings, const std::array<double, 3>& gravity, int joints, double gain_per_s);
+  Prior(const PriorSettings& settings, const std::array<double, 3>& gravity, int joints, double gain_per_s,
+        std::uint32_t unknown = 0);
 
   // Restarts at the next sample with a prior of 0.
   void reset() noexcept {
@@ -167,6 +169,7 @@ class Prior {
   std::vector<Friction> friction_;  // terms that model friction of a joint's own motion
   FrictionTemperature temperature_;
   bool has_presliding_;
+  std::uint32_t unknown_;
   State state_;
 };
 

@@ -4,14 +4,25 @@
 #include <cmath>
 
 namespace tauext {
+namespace {
+
+std::uint32_t unknown_constants(const ObserverSettings& settings) noexcept {
+  std::uint32_t unknown = 0;
+  for (std::size_t j = 0; j < kMaxJoints; ++j) unknown |= std::uint32_t{settings.has_unknown_constant(j)} << j;
+  return unknown;
+}
+
+}  // namespace
+
 ResidualStage::ResidualStage(const Tree& tree, const ObserverSettings& settings, const PriorSettings& prior)
     : motion_(tree, settings.sample_period_ns, settings.network_stride, prior.widths_rad, prior.branches),
       method_(settings.method),
       observer_(tree.size(), settings.gain_per_s, settings.timing),
       comparison_(tree, settings.method, settings.gain_per_s, settings.timing),
       filter_(tree.size(), settings.high_pass_per_s, settings.low_pass_per_s),
-      prior_(prior, tree.gravity(), tree.size(), settings.gain_per_s),
+      prior_(prior, tree.gravity(), tree.size(), settings.gain_per_s, unknown_constants(settings)),
       has_prior_(!prior.empty()),
+      unknown_(unknown_constants(settings)),
       gain_per_s_(settings.gain_per_s),
       sample_period_ns_(settings.sample_period_ns),
       unfiltered_(!(settings.high_pass_per_s > 0 || settings.low_pass_per_s > 0)),
@@ -42,6 +53,17 @@ void ResidualStage::reset() noexcept {
   carrying_.seen = false;
 }
 
+ResidualStage::ModelRows ResidualStage::model_rows() noexcept {
+  if (unknown_ == 0) return {motion_.momentum(), motion_.beta()};
+  const std::size_t n = joints();
+  for (std::size_t i = 0; i < n; ++i) {
+    const bool known = !(unknown_ >> i & 1);
+    momentum_[i] = known ? motion_.momentum()[i] : 0.0;
+    beta_[i] = known ? motion_.beta()[i] : 0.0;
+  }
+  return {std::span(momentum_).first(n), std::span(beta_).first(n)};
+}
+
 SampleClock::Tick ResidualStage::step(std::int64_t t_ns, std::span<const double> q, std::span<const double> dq,
                                       std::span<const double> tau, std::span<double> residual,
                                       std::span<double> prior, std::span<double> doubt) noexcept {
@@ -55,7 +77,7 @@ SampleClock::Tick ResidualStage::step(std::int64_t t_ns, std::span<const double>
     carrying_.torques.reset();
     past_.clear();
   }
-  const std::span<const double> momentum = motion_.momentum(), beta = motion_.beta();
+  const auto [momentum, beta] = model_rows();
   if (method_ == ResidualMethod::momentum)
     observer_.step(t_ns, momentum, beta, tau, residual);
   else
@@ -103,7 +125,7 @@ void ResidualStage::carry(const Load& load) noexcept {
 // Recomputes p and beta of the last sample with the current models.
 void ResidualStage::recompute() noexcept {
   motion_.compute(q(), dq());
-  if (has_prior_) prior_.terms().compute(q(), dq(), presliding(), motion_.beta());
+  if (has_prior_) prior_.terms().compute(q(), dq(), presliding(), model_rows().beta);
 }
 
 void ResidualStage::set_load(const Load& load, std::int64_t since_ns) noexcept {
@@ -122,10 +144,11 @@ void ResidualStage::set_load(const Load& load, std::int64_t since_ns) noexcept {
     return;
   }
   recompute();
+  const auto [momentum, beta] = model_rows();
   if (method_ == ResidualMethod::momentum)
-    observer_.carry_on(motion_.momentum(), motion_.beta());
+    observer_.carry_on(momentum, beta);
   else
-    comparison_.carry_on(motion_.tree(), q(), dq(), motion_.momentum(), motion_.beta());
+    comparison_.carry_on(motion_.tree(), q(), dq(), momentum, beta);
   if (carrying_.follows) begin_load_torques(carrying_.t_ns, q(), dq(), carrying_.torques.residual());
 }
 
@@ -137,7 +160,7 @@ void ResidualStage::go_back(std::size_t first) noexcept {
     const PastSamples::Row row = past_[k];
     past_presliding_->read_ends(row.low, row.high);
     motion_.compute(row.q, row.dq);
-    const std::span<const double> momentum = motion_.momentum(), beta = motion_.beta();
+    const auto [momentum, beta] = model_rows();
     if (k == first) {
       observer_.go_back(t_ns, momentum, beta, row.tau, row.residual);
       if (has_prior_) prior_.go_back(t_ns, row.q, row.dq, *past_presliding_, momentum, beta, row.prior, row.doubt);
@@ -152,7 +175,7 @@ void ResidualStage::go_back(std::size_t first) noexcept {
     std::ranges::copy(prior_.state().doubt_filter.residual(), row.doubt.begin());
     std::ranges::copy(carrying_.torques.residual(), row.load.begin());
   }
-  if (has_prior_) prior_.terms().compute(q(), dq(), presliding(), motion_.beta());
+  if (has_prior_) prior_.terms().compute(q(), dq(), presliding(), model_rows().beta);
 }
 
 void ResidualStage::keep() noexcept {

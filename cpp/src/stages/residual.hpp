@@ -167,6 +167,12 @@ class ResidualStage {
 
   static constexpr double kFadedNm = 1e-6;  // below this a removed load has decayed: far below the torque error
 
+  // p and beta of the model at the state for which it was last computed; 0 where the torque constant is unknown.
+  struct ModelRows {
+    std::span<const double> momentum, beta;
+  };
+  ModelRows model_rows() noexcept;
+
   void carry(const Load& load) noexcept;
   void recompute() noexcept;
   void go_back(std::size_t first) noexcept;
@@ -178,6 +184,8 @@ class ResidualStage {
   void forget_load_torques() noexcept;
   std::size_t joints() const noexcept { return static_cast<std::size_t>(motion_.tree().size()); }
 
+  std::uint32_t unknown_;  // joints whose torque constant is unknown, one bit each
+  JointVector momentum_{}, beta_{};  // model_rows(), if there are such joints
   double gain_per_s_;
   std::int64_t sample_period_ns_;
   bool unfiltered_;

@@ -181,9 +181,8 @@ def units_of(run: TrainingRun) -> tuple[str, ...]:
     """Unit of each joint's torque in the prior: newton metres, or this arm's own unit."""
     if run.constants is None:
         return (run.units.given.name,) * len(run.joints)
-    unknown = run.units.unknown or [0] * len(run.joints)
     relative = run.units.relative_to >= 0
-    return tuple("its own unit" if one or relative else "newton_metre" for one in unknown)
+    return tuple("its own unit" if one or relative else "newton_metre" for one in run.constants.unknown)
 
 
 def seen_too(

@@ -85,6 +85,7 @@ class KinematicSample:
             sample_period_ns=observer.sample_period_ns * observer.network_stride,
             network_stride=1,
             nm_per_unit=observer.nm_per_unit,
+            unknown_constant=observer.unknown_constant,
         )
         self.pieces: list[tuple[Recording, np.ndarray]] = []
         targets, values = [], []

@@ -387,7 +387,8 @@ def weighs_on(setup: Setup, recordings: Sequence[Recording], inertia: Inertia) -
         along += np.sum(np.where(moves, recording.tau * np.sign(recording.dq), 0.0), axis=0)
         rows += np.sum(moves, axis=0)
     friction_nm = np.abs(setup.observer.nm_per_unit or 1.0) * np.abs(along) / np.maximum(rows, 1)
-    return 0.05 * largest_beta(tree, setup, recordings) >= 0.05 * friction_nm
+    known = ~np.array(setup.observer.unknown_constant or [False] * n, dtype=bool)
+    return known & (0.05 * largest_beta(tree, setup, recordings) >= 0.05 * friction_nm)
 
 
 def largest_beta(tree: _core.Tree, setup: Setup, recordings: Sequence[Recording]) -> np.ndarray:

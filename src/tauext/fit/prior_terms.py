@@ -150,6 +150,8 @@ def own_terms(
     speeds = [narrowest, *(speed for speed in wider if 1.5 * speed <= top_speed_rad_s)]
     terms += [_core.Term(Kind.coulomb, joint, speed=speed) for speed in speeds]
     terms += [_core.Term(Kind.presliding, joint, b=width) for width in range(len(setup.widths_rad))]
+    if setup.observer.unknown_constant and setup.observer.unknown_constant[joint]:
+        terms.append(_core.Term(Kind.momentum, joint, joint, form=0))  # its inertia, as there is no model in its unit
     if local_memory:
         terms.append(_core.Term(Kind.local_memory, joint))
     if load is not None:

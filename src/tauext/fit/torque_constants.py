@@ -333,11 +333,14 @@ class TorqueConstants:
         """Factors for the recordings: 1 for a joint without information, whose torque is unchanged."""
         return np.where(self.determined | self.guessed, self.nm_per_unit, 1.0).tolist()
 
+    @property
+    def unknown(self) -> np.ndarray:
+        """(n,) bool: neither determined nor guessed; torque and estimate stay in the recordings' own unit."""
+        return ~(self.determined | self.guessed) & (not self.given)
+
     def units(self, given: _core.TorqueUnit) -> _core.TorqueUnits:
         """Units of a bundle with these constants, in and out; given: the unit of the recordings' tau."""
-        unknown = ~(self.determined | self.guessed) & (not self.given)
-        relative_to = -1 if self.relative_to is None else self.relative_to
-        return _core.TorqueUnits(given, relative_to, unknown.astype(int).tolist() if unknown.any() else [])
+        return _core.TorqueUnits(given, -1 if self.relative_to is None else self.relative_to)
 
     def facts(self, joints: Sequence[str]) -> dict:
         """Facts for provenance: the constants used, in the order of the joints, and each joint's result."""
@@ -434,11 +437,12 @@ def fit_torque_constants(
     return TorqueConstants(arm.nm_per_unit, errors, shares <= ConstantsConfig.well_determined, common_share=common)
 
 
-def with_constants(observer: _core.ObserverSettings, nm_per_unit: Sequence[float]) -> _core.ObserverSettings:
-    """Settings of the observer with torque constants, one a joint, by which it multiplies tau."""
+def with_constants(observer: _core.ObserverSettings, constants: TorqueConstants) -> _core.ObserverSettings:
+    """Settings of the observer with these torque constants, by which it multiplies tau."""
     kept = ("gain_per_s", "timing", "sample_period_ns", "network_stride", "method", "high_pass_per_s", "low_pass_per_s")
     settings = {name: getattr(observer, name) for name in kept}
-    return _core.ObserverSettings(**settings, nm_per_unit=[float(constant) for constant in nm_per_unit])
+    unknown = constants.unknown.astype(int).tolist() if constants.unknown.any() else []
+    return _core.ObserverSettings(**settings, nm_per_unit=constants.used, unknown_constant=unknown)
 
 
 def between_given(arm: ScaledArm) -> TorqueConstants:

@@ -87,7 +87,7 @@ def weighing_joints(bundle: _core.Bundle) -> np.ndarray:
     newtons = np.array(bundle.in_newtons)
     if newtons.any():
         return newtons
-    own = np.array(bundle.units.unknown or [0] * bundle.joints, dtype=bool)
+    own = np.array(bundle.observer.unknown_constant or [0] * bundle.joints, dtype=bool)
     return ~own & np.array([unit != "A" for unit in bundle.estimate_units])
 
 

@@ -69,7 +69,7 @@ def observe(run: TrainingRun, gain_per_s: float | None = None) -> Setup:
     rate_tolerance(run.training, setup.observer)  # fails early
     if run.constants is None:
         return setup
-    return replace(setup, observer=with_constants(setup.observer, run.constants.used))
+    return replace(setup, observer=with_constants(setup.observer, run.constants))
 
 
 def fit_prior(run: TrainingRun, setup: Setup, recordings: Sequence[Recording]) -> PriorFit | None:

@@ -299,7 +299,7 @@ def leave_out_impossible(run: TrainingRun) -> list[str]:
         run.constants = fit_torque_constants(run.tree, free, config.observer, from_amperes(training))
     factors = run.constants.used if run.constants else (1.0,)
     if run.constants:
-        observer = with_constants(observer, factors)
+        observer = with_constants(observer, run.constants)
     limits_nm = torque_limits(run.given.robot, run.joints)
     drives = np.where(in_newton_metres(run.constants, training, config), limits_nm, np.inf)
     passed = passed_limits(free_pieces(training, config.margins), drives, factors)

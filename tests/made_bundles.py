@@ -124,7 +124,8 @@ def without_constants(bundle: _core.Bundle, joints: Sequence[int]) -> _core.Bund
     """The same bundle, whose tau is in N m, with these joints in amperes of unknown torque constants."""
     bundle.observer = with_constants(bundle.observer, constants_of(np.ones(bundle.joints), joints))
     bundle.units = _core.TorqueUnits(_core.TorqueUnit.ampere)
-    bundle.answer_reference()
+    if bundle.observer.sample_period_ns:  # else it holds a model alone, and no reference
+        bundle.answer_reference()
     return bundle
 
 

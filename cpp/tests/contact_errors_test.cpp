@@ -1,8 +1,10 @@
 #include "alarm/contact_errors.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <limits>
+#include <random>
 
 #include "check.hpp"
 #include "made_bundle.hpp"
@@ -39,10 +41,7 @@ struct Arm {
   explicit Arm(const Bundle& made) : bundle(made), errors(bundle) {}
   void step(std::uint32_t near, bool touched, double tau_1 = 0, double tau_2 = 0, int times = 1) {
     const double tau[] = {tau_1, tau_2};
-    for (int k = 0; k < times; ++k) {
-      errors.find_hidden(near, expected, drive);
-      errors.step(t_ns += kMs, near, touched, tau, kSigma, gap, sigma);
-    }
+    for (int k = 0; k < times; ++k) errors.step(t_ns += kMs, near, touched, tau, kSigma, gap, {expected, drive}, sigma);
   }
   bool is(int joint, double hidden) const {
     return std::fabs(sigma[joint] - std::hypot(kSigma[joint], hidden)) < 1e-9;
@@ -103,8 +102,7 @@ void the_truth_is_within_two_standard_errors_where_positions_show_nothing() {
   }
   Arm unknown(b);  // without the prior's friction: as if one end were expected
   const double drive[] = {-20, 0}, tau[] = {0, 0};
-  unknown.errors.find_hidden(1, {}, drive);
-  unknown.errors.step(kMs, 1, true, tau, kSigma, unknown.gap, unknown.sigma);
+  unknown.errors.step(kMs, 1, true, tau, kSigma, unknown.gap, {{}, drive}, unknown.sigma);
   CHECK(unknown.is(0, std::hypot(10, uniform(10))));
 }
 
@@ -133,6 +131,40 @@ void a_joint_at_rest_is_pressed_from_three_standard_errors_on_though_no_limit_is
   CHECK(arm.is(0, 0));
 }
 
+// The friction of a joint that slides, or rests and was not touched, has no influence; brought() and step() find the same.
+void friction_counts_at_pressed_joints_alone() {
+  constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+  std::mt19937 random(5);
+  std::normal_distribution<double> normal(0, 1);
+  Arm arm(true), without(true);
+  int pressed = 0;
+  for (int k = 0; k < 20000; ++k) {
+    const auto near = static_cast<std::uint32_t>(k / 700 % 4);
+    const bool touched = k % 3000 < 50;
+    const double tau[] = {0.5 * normal(random), 0.5 * normal(random)};
+    for (int j = 0; j < 2; ++j) {
+      arm.expected[j] = 3 * normal(random);
+      arm.drive[j] = 20 * normal(random);
+    }
+    arm.step(near, touched, tau[0], tau[1]);
+    arm.errors.find_hidden(near, {arm.expected, arm.drive});
+    for (int j = 0; j < 2; ++j) {
+      const bool counts = arm.errors.state().pressed >> j & 1;  // and rests
+      without.expected[j] = counts ? arm.expected[j] : kNan;
+      without.drive[j] = counts ? arm.drive[j] : kNan;
+    }
+    without.step(near, touched, tau[0], tau[1]);
+    for (int j = 0; j < 2; ++j) {
+      CHECK(std::bit_cast<std::uint64_t>(arm.sigma[j]) == std::bit_cast<std::uint64_t>(without.sigma[j]));
+      if (!(arm.errors.state().pressed >> j & 1)) continue;
+      ++pressed;
+      const double least = kSigma[j] * kSigma[j] + arm.errors.brought(j, true, 0);
+      CHECK(arm.sigma[j] * arm.sigma[j] >= least * (1 - 1e-12));
+    }
+  }
+  CHECK(pressed > 1000 && pressed < 30000);
+}
+
 // Local and nonlocal memory differ by so much of the presliding friction; where training found local memory, less is unsure.
 void the_kind_of_memory_is_in_doubt_while_a_pressed_joint_rests() {
   for (bool found : {false, true}) {
@@ -149,12 +181,11 @@ void the_kind_of_memory_is_in_doubt_while_a_pressed_joint_rests() {
     ContactErrors errors(b), without(b);
     const double tau[] = {0, 0}, gap[] = {-0.5, 0.5};
     double sigma[2], plain[2];
-    for (ContactErrors* each : {&errors, &without}) each->find_hidden(3, tau, tau);
-    errors.step(kMs, 3, true, tau, kSigma, gap, sigma);
-    without.step(kMs, 3, true, tau, kSigma, {}, plain);
+    errors.step(kMs, 3, true, tau, kSigma, gap, {tau, tau}, sigma);
+    without.step(kMs, 3, true, tau, kSigma, {}, {tau, tau}, plain);
     const double unsure = 5 * 0.5 * (found ? 0.05 : 0.3);
     CHECK(std::fabs(sigma[0] - std::hypot(plain[0], unsure)) < 1e-12 && sigma[1] == plain[1]);
-    errors.step(2 * kMs, 0, false, tau, kSigma, gap, sigma);
+    errors.step(2 * kMs, 0, false, tau, kSigma, gap, {tau, tau}, sigma);
     CHECK(sigma[0] == kSigma[0]);
   }
 }
@@ -182,9 +213,8 @@ void a_sample_without_a_torque_makes_no_rate() {
   other.restore(arm.errors.state());
   double here[2], there[2];
   const double tau[] = {51, 49};
-  for (ContactErrors* each : {&arm.errors, &other}) each->find_hidden(3, arm.expected, arm.drive);
-  arm.errors.step(arm.t_ns + kMs, 3, false, tau, kSigma, {}, here);
-  other.step(arm.t_ns + kMs, 3, false, tau, kSigma, {}, there);
+  arm.errors.step(arm.t_ns + kMs, 3, false, tau, kSigma, {}, {arm.expected, arm.drive}, here);
+  other.step(arm.t_ns + kMs, 3, false, tau, kSigma, {}, {arm.expected, arm.drive}, there);
   CHECK(here[0] == there[0] && here[1] == there[1] && here[0] > 1);
 }
 
@@ -196,6 +226,7 @@ int main() {
   the_truth_is_within_two_standard_errors_where_positions_show_nothing();
   what_stops_soon_after_a_contact_rests_under_it();
   a_joint_at_rest_is_pressed_from_three_standard_errors_on_though_no_limit_is_exceeded();
+  friction_counts_at_pressed_joints_alone();
   the_kind_of_memory_is_in_doubt_while_a_pressed_joint_rests();
   the_lag_counts_during_a_contact_and_fades_after_it();
   a_sample_without_a_torque_makes_no_rate();

@@ -33,17 +33,19 @@ ContactErrors::ContactErrors(const Bundle& bundle)
   for (int j = 0; j < joints_; ++j) unsure_nm_[j] *= bent[j];
 }
 
-void ContactErrors::find_hidden(std::uint32_t near_stiction, std::span<const double> coulomb, std::span<const double> tau) noexcept {
-  for (int j = 0; j < joints_; ++j) {
-    if (!(near_stiction >> j & 1)) continue;
-    const auto at = static_cast<std::size_t>(j);
-    const double largest = at_rest_nm_[j] + of_load_[j] * std::fabs(tau[at]), expected = coulomb.empty() ? largest : coulomb[at];
-    hidden_[j] = unseen_[j] * unseen_[j] * (expected * expected + largest * largest / 3);
-  }
+double ContactErrors::hidden(std::size_t joint, const Friction& friction) const noexcept {
+  const double largest = at_rest_nm_[joint] + of_load_[joint] * std::fabs(friction.tau[joint]);
+  const double expected = friction.coulomb.empty() ? largest : friction.coulomb[joint];
+  return unseen_[joint] * unseen_[joint] * (expected * expected + largest * largest / 3);
+}
+
+void ContactErrors::find_hidden(std::uint32_t near_stiction, const Friction& friction) noexcept {
+  for (int j = 0; j < joints_; ++j)
+    if (near_stiction >> j & 1) hidden_[j] = hidden(static_cast<std::size_t>(j), friction);
 }
 
 void ContactErrors::step(std::int64_t t_ns, std::uint32_t near_stiction, bool touched, std::span<const double> tau_ext,
-                         std::span<const double> sigma_nm, std::span<const double> memory_gap,
+                         std::span<const double> sigma_nm, std::span<const double> memory_gap, const Friction& friction,
                          std::span<double> into) noexcept {
   State& s = state_;
   const double dt = s.started ? elapsed_s(t_ns, s.t_ns) : 0.0;
@@ -63,10 +65,10 @@ void ContactErrors::step(std::int64_t t_ns, std::uint32_t near_stiction, bool to
     s.tau_ext[j] = tau_ext[at];
     if (std::fabs(tau_ext[at]) > kNoticed * sigma_nm[at]) s.pressed |= std::uint32_t{1} << j;
     const bool pressed = (s.pressed & near_stiction) >> j & 1;
-    const double hidden = pressed ? hidden_[j] : 0.0;
+    const double of_rest = pressed ? hidden(at, friction) : 0.0;
     const double unsure = pressed && !memory_gap.empty() ? unsure_nm_[j] * memory_gap[at] : 0.0;
     const double of_torque = s.touched * of_torque_[j] * tau_ext[at], lag = s.touched * s.rate[j] / gain_per_s_;
-    into[at] = std::sqrt(sigma_nm[at] * sigma_nm[at] + hidden + unsure * unsure + of_torque * of_torque + lag * lag);
+    into[at] = std::sqrt(sigma_nm[at] * sigma_nm[at] + of_rest + unsure * unsure + of_torque * of_torque + lag * lag);
   }
   s.pressed &= near_stiction;
   s.started = true;

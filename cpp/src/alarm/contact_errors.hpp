@@ -36,14 +36,21 @@ class ContactErrors {
 
   explicit ContactErrors(const Bundle& bundle);
 
-  // Finds what joints near stiction hide at this sample; before step() and brought(). coulomb: friction in the prior, empty where
-  // unknown; tau: of the sample.
-  void find_hidden(std::uint32_t near_stiction, std::span<const double> coulomb, std::span<const double> tau) noexcept;
+  // What a sample tells of the friction of joints at rest. coulomb: friction in the prior, [N m], empty where unknown; tau: of the
+  // drives, in the bundle's unit.
+  struct Friction {
+    std::span<const double> coulomb, tau;
+  };
+
+  // Finds what joints near stiction hide at this sample, for brought(); step() finds it where it counts.
+  void find_hidden(std::uint32_t near_stiction, const Friction& friction) noexcept;
   // touched: some joint is over its contact limit at this sample. near_stiction: a bit a joint. tau_ext, sigma_nm, memory_gap:
   // of this sample, the last one empty where there is none. into: the standard error, NaN where sigma_nm is.
   void step(std::int64_t t_ns, std::uint32_t near_stiction, bool touched, std::span<const double> tau_ext,
-            std::span<const double> sigma_nm, std::span<const double> memory_gap, std::span<double> into) noexcept;
-  // Variance that a torque on a joint brings, [N m]^2: friction that it may hide if it rests, and errors in proportion.
+            std::span<const double> sigma_nm, std::span<const double> memory_gap, const Friction& friction,
+            std::span<double> into) noexcept;
+  // Variance that a torque on a joint brings, [N m]^2: friction that it may hide if it rests (after find_hidden() at this sample),
+  // and errors in proportion.
   double brought(int joint, bool rests, double torque_nm) const noexcept {
     const double of_torque = of_torque_[joint] * torque_nm;
     return (rests ? hidden_[joint] : 0.0) + of_torque * of_torque;
@@ -66,10 +73,12 @@ class ContactErrors {
   void restore(const State& state) noexcept { state_ = state; }
 
  private:
+  double hidden(std::size_t joint, const Friction& friction) const noexcept;  // variance, [N m]^2
+
   int joints_;
   double gain_per_s_;
   JointVector unseen_{}, at_rest_nm_{}, of_load_{}, unsure_nm_{}, of_torque_{};
-  JointVector hidden_{};  // variance at this sample, [N m]^2
+  JointVector hidden_{};  // of find_hidden(), [N m]^2
   State state_;
 };
 

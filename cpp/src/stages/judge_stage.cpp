@@ -221,7 +221,6 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
     raised[j] = e.doubt[j] + widened_at_rest_nm_[j] + widened_per_speed_[j] * std::fabs(sample.dq[static_cast<std::size_t>(j)]);
   factors_.raise(sample.dq, first_joints(raised));
   e.near_stiction = o.near_stiction;
-  contact_errors_.find_hidden(e.near_stiction, o.coulomb, sample.tau);
   const bool expects = expected && expected->on(), declares = contacts && contacts->any();
   bool pressed = false;
   if (expects || declares)
@@ -232,7 +231,7 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
   if (o.judged && scale_.on()) {
     const bool touched = pressed || alarm_.state().held_alarm != Alarm::none || e.detection;
     contact_errors_.step(o.t_ns, e.near_stiction, touched, first_joints(e.tau_ext), first_joints(e.sigma_nm), o.memory_gap,
-                         first_joints(e.contact_sigma_nm));
+                         {o.coulomb, sample.tau}, first_joints(e.contact_sigma_nm));
   } else {
     std::copy_n(e.sigma_nm.begin(), e.joints, e.contact_sigma_nm.begin());
     contact_errors_.skip();
@@ -258,7 +257,10 @@ bool JudgeStage::judge_rest(const Observed& o, const Sample& sample, const Joint
   Estimate& e = estimate_;
   explained_ = true;
   JointVector higher = raised, spread{};
-  if (contacts) contacts->explain_joints(o, sample.q, contact_errors_, e);
+  if (contacts) {
+    contact_errors_.find_hidden(e.near_stiction, {o.coulomb, sample.tau});
+    contacts->explain_joints(o, sample.q, contact_errors_, e);
+  }
   if (expected) explain_load(o, sample, higher, *expected);
   const bool pressed = contacts && contacts->explain_frame(o, sample.q, contact_errors_, !expected, e, spread);
   e.detection = alarm_.step(o.t_ns, unexplained(), e.limit_scale, higher, e.near_stiction, o.judged, e.limit_nm,

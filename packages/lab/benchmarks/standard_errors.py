@@ -35,7 +35,7 @@ from tauext.train.error_scale import FOR_ERRORS, judge
 from tauext.train.preparation import TrainingInput
 from tauext.train.stage import train_on_recordings
 
-CLASSES = ("at rest", "slow", "fast", "turns", "all")
+CLASSES = ("at rest", "rests alone", "slow", "fast", "turns", "all")
 RESTS_RAD_S, TURNS_S = 0.002, 0.3
 PIECES = 4
 
@@ -103,14 +103,25 @@ def same(one: Recording, other: Recording) -> bool:
 
 
 def classes_of(motion: Recording, joint: int) -> dict[str, np.ndarray]:
-    """Samples of each class, (samples,), bool; slow: below a fifth of the joint's fastest."""
+    """Samples of each class, (samples,), bool; slow: below a fifth of the joint's fastest.
+
+    Rests alone: stopped more than TURNS_S ago, while another joint moves.
+    """
     speed = np.abs(motion.dq[:, joint])
     rests = speed < RESTS_RAD_S
     slow = ~rests & (speed < 0.2 * np.quantile(speed, 0.99))
     sign = np.where(rests, 0, np.sign(motion.dq[:, joint]))
     turned = np.concatenate([[False], sign[1:] != sign[:-1]])
     recent = np.convolve(turned, np.ones(max(1, round(TURNS_S * motion.rate_hz))))[: len(turned)] > 0
-    return {"at rest": rests, "slow": slow, "fast": ~rests & ~slow, "turns": recent, "all": np.ones(len(speed), bool)}
+    others = (np.abs(np.delete(motion.dq, joint, axis=1)) >= RESTS_RAD_S).any(axis=1)
+    return {
+        "at rest": rests,
+        "rests alone": rests & others & ~recent,
+        "slow": slow,
+        "fast": ~rests & ~slow,
+        "turns": recent,
+        "all": np.ones(len(speed), bool),
+    }
 
 
 def tables(rows: Sequence[dict]) -> list[str]:

@@ -54,6 +54,8 @@ from unseen.surfaces import (
 )
 
 from tauext import _core
+from tauext.config import FreeMotionConfig
+from tauext.data.free_motion import free_samples
 from tauext.data.recording import Recording
 from tauext.data.recording_file import load_recording
 from tauext.monitor.touch_place import (
@@ -64,6 +66,7 @@ from tauext.monitor.touch_place import (
     find_places,
     run_of,
     straight_touches,
+    strength,
 )
 from tauext.robot.capsules import Ends, body_capsules, even_directions, link_capsules
 from tauext.robot.frames import wrench_frames
@@ -190,9 +193,9 @@ def row_of(
     if not own:
         return row
     last = own[-1]
-    strength = np.square(said["tau_ext"] / said["sigma_nm"]).sum(axis=1)
     first = int(np.searchsorted(made.t_ns, last.t_ns - round(last.since_s * 1e9)))
-    at = first + int(np.nanargmax(strength[first : last.row + 1]))
+    until = slice(first, last.row + 1)
+    at = first + int(np.argmax(strength(said["tau_ext"][until], said["sigma_nm"][until])))
     sample = (made.q[at].tolist(), *(said[key][at].tolist() for key in ("tau_ext", "sigma_nm", "contact_sigma_nm")))
     place = _core.PlaceModel(arm.bundle).find(*sample, link=touch.link, dq=made.dq[at].tolist()).places[0]
     probability = [0.0] * arm.bundle.joints
@@ -488,12 +491,11 @@ def located(
     model: _core.PlaceModel, one: Recording, rows: slice, tau_ext: np.ndarray, sigma: np.ndarray
 ) -> list[float] | None:
     """Probability of each link; None: no estimate."""
-    tau = tau_ext[rows]
-    strength = np.square(tau / sigma).sum(axis=1)
-    if not np.isfinite(strength).any():
+    by_row = strength(tau_ext[rows], sigma)
+    if not by_row.any():
         return None
-    at = int(np.nanargmax(strength))
-    return list(model.find(one.q[rows][at].tolist(), tau[at].tolist(), sigma.tolist(), places=False).probability)
+    at = rows.start + int(np.argmax(by_row))
+    return list(model.find(one.q[at].tolist(), tau_ext[at].tolist(), sigma.tolist(), places=False).probability)
 
 
 def touches_of(recording: Recording) -> list[slice]:
@@ -504,10 +506,9 @@ def touches_of(recording: Recording) -> list[slice]:
 
 def free_rows(recording: Recording) -> np.ndarray:
     """Samples that no touch is within 0.15 s of."""
-    reach = round(0.15 * recording.rate_hz)
-    near = np.convolve(np.asarray(recording.contact) > 0, np.ones(2 * reach + 1), "same") > 0
-    near[: 2 * reach] = True  # the observer begins
-    return ~near
+    free = free_samples(recording, FreeMotionConfig(before_s=0.15, after_s=0.15))
+    free[: round(0.3 * recording.rate_hz)] = False  # the observer begins
+    return free
 
 
 COLUMNS = "touches | alarms | right | among two | stated | of these right | runs: links | right"

@@ -68,6 +68,24 @@ def test_another_arms_file_is_named_before_the_torque(arm, tmp_path, seed):
     assert not {"effort-compensated", "effort-sign"} & set(faults), diagnosis.findings
 
 
+def test_unknown_contact_is_left_out_of_the_fits_and_stated(arm):
+    """A push of unknown contact changes nothing; where nothing is known, the motion is checked and the note states it."""
+    robot, _, recordings = arm
+    free = [replace(one, contact=np.zeros(one.samples, np.int8)) for one in recordings]
+    unknown = free[0].contact.copy()
+    unknown[: free[0].samples // 2] = -1
+    tau = free[0].tau + 8.0 * (unknown == -1)[:, None]
+    odd = [replace(free[0], tau=tau, contact=unknown), *free[1:]]
+    found = examine(odd, robot).findings
+    assert {f.code for f in found} == codes(free, robot) | {"contact-unknown"}
+    (note,) = [finding for finding in found if finding.code == "contact-unknown"]
+    assert f"unknown, in {(unknown == -1).sum() / free[0].rate_hz:.1f} s of" in note.evidence
+    nothing = [replace(one, tau=-one.tau, contact=np.full(one.samples, -1, np.int8)) for one in free]
+    found = examine(nothing, robot).findings
+    assert {"effort-sign", "contact-unknown"} <= {finding.code for finding in found}
+    assert any("no motion is known to be free" in finding.advice for finding in found)
+
+
 def test_the_table_of_causes_hides_what_they_explain():
     assert set(EXPLAINED) <= set(CODES) and {code for of in EXPLAINED.values() for code in of} <= set(CODES)
     found = [Finding(code, "fault", "a", "", "") for code in ("effort-sign", "effort-scale", "stuck")]

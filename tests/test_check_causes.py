@@ -69,7 +69,7 @@ def test_another_arms_file_is_named_before_the_torque(arm, tmp_path, seed):
 
 
 def test_unknown_contact_is_left_out_of_the_fits_and_stated(arm):
-    """A push of unknown contact changes nothing; where nothing is known, the motion is checked and the note states it."""
+    """A push of unknown contact changes nothing; where nothing is known, motion is checked, and the note says so."""
     robot, _, recordings = arm
     free = [replace(one, contact=np.zeros(one.samples, np.int8)) for one in recordings]
     unknown = free[0].contact.copy()

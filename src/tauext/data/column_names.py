@@ -33,7 +33,8 @@ GUESSES = {
     "temperature": _usual(r"temps?|temperatures?"),
     "duty": r"(duty|pwm|load|present_(load|pwm))",
     "voltage": r"(voltage|voltages|present_voltage)",
-    "time": r"_*((elapsed|sim|simulation|ros|system|robot|log|relative|rel)_)?(t|times?|time_?stamps?|stamp)|time_cont|zeit",
+    "time": r"_*((elapsed|sim|simulation|ros|system|robot|log|rel|relative)_)?(t|times?|time_?stamps?|stamp)|"
+    r"time_cont|zeit",
     "label": r"(label|labels|contact|contacts|collision|collisions|touch)",
 }
 """Usual names of each signal, without joint, counter and unit."""

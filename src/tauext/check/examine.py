@@ -201,7 +201,8 @@ def as_files(diagnosis: Diagnosis, recordings: Iterable[str], without_model: boo
     """Contents of check.txt and check.json, of recordings of these names."""
     text = as_text(diagnosis)
     if without_model:
-        text = f"no robot model: order, scale, gravity and payload cannot be checked\n{text}"
+        what = "order, scale, gravity and payload cannot be checked, and touches without a label not be found"
+        text = f"no robot model: {what}\n{text}"
     return text, as_data(diagnosis) | {"recordings": list(recordings)}
 
 

@@ -8,6 +8,7 @@ from itertools import count
 
 import numpy as np
 import pytest
+from check_cases import pressed
 from made_arms import _serial, six_axis_tree, urdf
 from made_recordings import made_motion
 
@@ -15,6 +16,7 @@ from tauext.check.checks import EXPLAINED, causes_only
 from tauext.check.examine import examine, quick_checks
 from tauext.check.finding import CODES, Finding
 from tauext.check.robot_file import possible_inertia
+from tauext.data.servo import AMPERES
 from tauext.robot.read import CarriedBody, load_tree
 
 
@@ -66,6 +68,40 @@ def test_another_arms_file_is_named_before_the_torque(arm, tmp_path, seed):
     faults = [finding.code for finding in diagnosis.findings if finding.severity == "fault"]
     # Some arms resemble each other in a joint; what must not come is advice on a torque that is right.
     assert not {"effort-compensated", "effort-sign"} & set(faults), diagnosis.findings
+
+
+def test_unknown_contact_is_left_out_of_the_fits_and_stated(arm):
+    """A push of unknown contact changes nothing; where nothing is known, motion is checked, and the note says so."""
+    robot, _, recordings = arm
+    free = [replace(one, contact=np.zeros(one.samples, np.int8)) for one in recordings]
+    unknown = free[0].contact.copy()
+    unknown[: free[0].samples // 2] = -1
+    tau = free[0].tau + 8.0 * (unknown == -1)[:, None]
+    odd = [replace(free[0], tau=tau, contact=unknown), *free[1:]]
+    found = examine(odd, robot).findings
+    assert {f.code for f in found} == codes(free, robot) | {"contact-unknown"}
+    (note,) = [finding for finding in found if finding.code == "contact-unknown"]
+    assert f"unknown, in {(unknown == -1).sum() / free[0].rate_hz:.1f} s of" in note.evidence
+    nothing = [replace(one, tau=-one.tau, contact=np.full(one.samples, -1, np.int8)) for one in free]
+    found = examine(nothing, robot).findings
+    assert {"effort-sign", "contact-unknown"} <= {finding.code for finding in found}
+    assert any("no motion is known to be free" in finding.advice for finding in found)
+
+
+def test_presses_are_found_in_currents_of_unknown_constants(arm):
+    """What the constants explain is no reason not to search."""
+    robot, tree, _ = arm
+    recordings = made_motion(tree, 3.0, pieces=3).recordings
+    amperes = np.array([8.0, 12.0, 10.0, 5.0, 4.0, 3.0])
+
+    def in_amperes(one, k, changes):
+        changed = replace(one, **changes)
+        return replace(changed, tau=changed.tau / amperes, provenance=one.provenance | {"torque": AMPERES})
+
+    free = [in_amperes(one, k, {}) for k, one in enumerate(recordings)]
+    touched = [in_amperes(one, k, pressed(one, k)) for k, one in enumerate(recordings)]
+    assert "contact-in-free-motion" not in codes(free, robot)
+    assert "contact-in-free-motion" in codes(touched, robot)
 
 
 def test_the_table_of_causes_hides_what_they_explain():

@@ -56,6 +56,8 @@ class Case:
     others. None: the one of arm_text()."""
     unused: str = ""
     """Columns that `import --new` lists as not in use."""
+    joints: tuple[str, ...] = JOINTS
+    """Names of the recordings' joints."""
     close: float = 0.0
     """Relative error of values that a unit changes twice."""
 
@@ -381,6 +383,147 @@ CASES += [
 ]
 
 
+IN_UNITS = {
+    "rad": 1.0,
+    "deg": DEG,
+    "rad/s": 1.0,
+    "deg/s": DEG,
+    "rpm": 30 / np.pi,
+    "Nm": 1.0,
+    "mNm": 1e3,
+    "s": 1e-9,
+    "ms": 1e-6,
+    "us": 1e-3,
+    "ns": 1.0,
+}
+"""Numbers of a radian, a radian a second, a newton metre and a nanosecond in units of columns."""
+SPELLINGS = (
+    ("time (ms)", "ms", "q {joint} [deg]", "deg", "dq {joint} [deg/s]", "deg/s", "tau {joint} [Nm]", "Nm"),
+    (
+        "Time [sec]",
+        "s",
+        "{joint}_position (rad)",
+        "rad",
+        "{joint}_velocity (rad/s)",
+        "rad/s",
+        "{joint}_effort (N m)",
+        "Nm",
+    ),
+    (
+        "t [s]",
+        "s",
+        "position[deg] joint {number}",
+        "deg",
+        "velocity[deg/s] joint {number}",
+        "deg/s",
+        "torque[Nm] joint {number}",
+        "Nm",
+        "joint {number}",
+    ),
+    (
+        "Time",
+        "s",
+        "Joint {number} Position (°)",
+        "deg",
+        "Joint {number} Velocity (°/s)",
+        "deg/s",
+        "Joint {number} Torque (N·m)",
+        "Nm",
+        "Joint {number}",
+    ),
+    (
+        "Timestamp (ns)",
+        "ns",
+        "J{number}[deg]",
+        "deg",
+        "dq_J{number} [deg/s]",
+        "deg/s",
+        "torque_J{number} [Nm]",
+        "Nm",
+        "J{number}",
+    ),
+    ("time_ms", "ms", "{joint}_pos_deg", "deg", "{joint}_vel_deg_s", "deg/s", "{joint}_torque_Nm", "Nm"),
+    ("elapsed time (s)", "s", "{joint} (deg)", "deg", "{joint} (deg/s)", "deg/s", "{joint} (Nm)", "Nm"),
+    (
+        "timestamp[us]",
+        "us",
+        "position [rad] {joint}",
+        "rad",
+        "velocity [rad/s] {joint}",
+        "rad/s",
+        "effort [mNm] {joint}",
+        "mNm",
+    ),
+    ("ms_time", "ms", "deg_pos_{number}", "deg", "rpm_speed_{number}", "rpm", "Nm_tau_{number}", "Nm"),
+    (
+        "Zeit [s]",
+        "s",
+        "Winkel A{number} [°]",
+        "deg",
+        "Geschwindigkeit A{number} [°/s]",
+        "deg/s",
+        "Drehmoment A{number} [Nm]",
+        "Nm",
+    ),
+    ("[s] time", "s", "[deg] q{number}", "deg", "[deg/s] dq{number}", "deg/s", "[N*m] tau{number}", "Nm"),
+    (
+        "TimeStamp_ms",
+        "ms",
+        "theta_{number} / rad",
+        "rad",
+        "qd_{number} [rad s^-1]",
+        "rad/s",
+        "Moment {number} <Nm>",
+        "Nm",
+    ),
+    (
+        "sim_time",
+        "s",
+        "{joint} angle in degrees",
+        "deg",
+        "{joint} speed (deg/sec)",
+        "deg/s",
+        "{joint} torque (newton metres)",
+        "Nm",
+    ),
+    (
+        "system time / s",
+        "s",
+        "Actual Position J{number} [rad]",
+        "rad",
+        "Actual Speed J{number} [rad.s-1]",
+        "rad/s",
+        "Actual Torque J{number} [N.m]",
+        "Nm",
+    ),
+    ("t [µs]", "us", "Position_A{number}", "rad", "Velocity_A{number}", "rad/s", "Torque_A{number}", "Nm", "A{number}"),
+)
+"""Titles of time, positions, velocities and torques, each with its unit; and names of joints that contain a number."""
+
+
+def in_units(time: str, q: str, dq: str, tau: str) -> Callable[[Log], Log]:
+    """The log in these units."""
+
+    def changed(log: Log) -> Log:
+        numbers = {"q": log.q * IN_UNITS[q], "dq": log.dq * IN_UNITS[dq], "tau": log.tau * IN_UNITS[tau]}
+        return replace(log, time_factor=IN_UNITS[time], **numbers)
+
+    return changed
+
+
+CASES += [
+    Case(
+        f"titles {', '.join(titles[:8:2])}",
+        titled(*titles[:8:2], change=in_units(*titles[1::2])),
+        ("csv",),
+        asked=(),
+        close=1e-13,
+        joints=tuple(name.replace("{number}", str(k)) for name in titles[8:] for k in (1, 2, 3)) or JOINTS,
+    )
+    for titles in SPELLINGS
+]
+
+
 def between(log: Log, other: Log, every_other: int = 2) -> Log:
     """Rows of another writer after each of the log's, with stamps of their own, between them or equal."""
     step = PERIOD_NS // every_other
@@ -427,6 +570,13 @@ CASES += [
         refused="alternate between two writers: one has positions of .*, the other positions of",
     ),
     Case("joined stretches", joined_stretches, runs=STRETCHES, clock=False, said="stretches of 100 rows were joined"),
+    Case(
+        "joined stretches of other lengths",
+        lambda log: replace(log.rows(np.r_[300:417, :150, 450:600]), t_ns=log.t_ns[:417]),
+        runs=[slice(300, 417), slice(150), slice(450, 600)],
+        clock=False,
+        said="stretches of 117 to 150 rows were joined",
+    ),
     Case(
         "joined stretches without a clock",
         joined_stretches,
@@ -489,7 +639,7 @@ def test_a_file_gives_the_clean_arrays_or_one_message(case, kind, tmp_path, caps
     wanted = [CLEAN.rows(rows) for rows in case.runs]
     assert len(recordings) == len(wanted)
     for recording, log in zip(recordings, wanted, strict=True):
-        assert recording.joints == JOINTS and recording.rate_hz == 50
+        assert recording.joints == case.joints and recording.rate_hz == 50
         t_ns = log.t_ns if case.clock else log.t_ns - log.t_ns[0] + recording.t_ns[0]
         # Seconds in a column are rounded, those since 1970 to 0.24 us.
         assert np.abs(recording.t_ns - t_ns).max() <= (1 if t_ns[0] < 10**17 else 256)

@@ -50,8 +50,27 @@ def test_joined_stretches_are_found_where_a_seam_does_not_show_and_spikes_are_no
     spiked = MOTION.copy()
     spiked[200::200] += 1.0
     assert joined(spiked, np.arange(2000)) is None
-    uneven = MOTION[np.r_[0:300, 900:1217, 400:811, 1500:1999]]
-    assert joined(uneven, np.arange(len(uneven))) is None
+
+
+def test_joined_stretches_of_any_length_are_found_and_standing_logs_are_none():
+    parts = [slice(0, 300), slice(900, 1217), slice(400, 811), slice(1500, 1999)]
+    uneven = np.concatenate([MOTION[part] for part in parts])
+    found = joined(uneven, np.arange(len(uneven)))
+    assert found is not None and not found.rows and found.begins.tolist() == [300, 617, 1028]
+    two = np.concatenate([MOTION[:700], MOTION[1300:]])
+    found = joined(two, np.arange(len(two)))
+    assert found is not None and found.begins.tolist() == [700]
+    lost = np.r_[np.arange(700), np.arange(1300, 2000)]
+    assert joined(two, lost) is None  # a gap of the clock explains the jump
+    stood = np.concatenate([MOTION[:700], np.repeat(MOTION[699:700], 80, axis=0), MOTION[780:]])
+    assert joined(stood, np.arange(len(stood))) is None
+    not_ready = np.concatenate([np.zeros((80, 3)), MOTION[80:]])
+    assert joined(not_ready, np.arange(2000)) is None
+    noise = np.random.default_rng(2).normal(0, 1e-4, (2000, 3))
+    slow_then_fast = np.where(np.arange(2000)[:, None] < 1000, 0.01, 1.0) * MOTION + noise
+    slow_then_fast[1000:] -= slow_then_fast[1000] - slow_then_fast[999]
+    assert joined(slow_then_fast, np.arange(2000)) is None
+    assert joined(MOTION[::10] + noise[::10], np.arange(200)) is None
 
 
 def test_two_topics_of_joint_states_are_a_question_and_one_file_serves_both_arms(tmp_path, capsys):
@@ -60,7 +79,10 @@ def test_two_topics_of_joint_states_are_a_question_and_one_file_serves_both_arms
     arm = tmp_path / "arm.toml"
     write_template(arm, (bag,), None)
     text = arm.read_text()
-    assert text.count('topic = "?/left/joint_states"') == 3 and "/right/joint_states" in capsys.readouterr().err
+    assert text.count('topic = "?/left/joint_states"') == 3 and "/right/joint_states" in (
+        said := capsys.readouterr().err
+    )
+    assert "for another arm, import the same file again with a description of its own" in said
     with pytest.raises(ConfigError, match=r"\[signals.q\] topic has '\?/left/joint_states'"):
         parse_arm(text)
     for side in ("left", "right"):

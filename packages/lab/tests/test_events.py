@@ -1,5 +1,7 @@
 """Labelled events: found, false, delays, against what was worked out by hand on made-up alarms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from sliding_mass import observer_bundle, pushed, recording
@@ -50,6 +52,28 @@ def test_an_alarm_within_the_tolerance_finds_the_event_and_is_not_false():
     assert strict.all.found == 0 and strict.all.false_alarms == 2
     # Free time: 6 s less two events of 0.3 s (300 samples) with 20 ms on both sides of their first and last samples.
     assert strict.all.free_hours * 3600 == pytest.approx(6 - 2 * 0.340, abs=0.003)
+
+
+def test_unknown_contact_is_neither_free_nor_a_contact(tmp_path):
+    """Pushes of which nothing is known make no false alarm, no collision and no free time, in any of the numbers."""
+    known, hit = labelled(samples=10_000, name="known"), pushed("hit", 10.0)
+    unknown = replace(hit, contact=-hit.contact)
+    none = replace(hit, name="none", contact=np.full(hit.samples, -1, dtype=np.int8))
+    loaders = [lambda: known, lambda: unknown, lambda: none]
+    found = evaluate({"o": observer_bundle()}, loaders, [], tmp_path, seed=0, threads=1, sanity=True)
+    (bundle,) = found.bundles
+    assert found.collisions == () and bundle.free_motion.false_collisions == bundle.events.all.false_alarms == 0
+    unknown_s = (1.0 * (hit.contact == 1).sum() + hit.samples) / hit.rate_hz
+    assert found.unknown_contact_hours * 3600 == pytest.approx(unknown_s)
+    free_s = known.samples / known.rate_hz + hit.samples / hit.rate_hz - (hit.contact == 1).sum() / hit.rate_hz
+    warm_up_s = 2 * 0.5
+    assert bundle.events.all.free_hours * 3600 == pytest.approx(free_s - warm_up_s, abs=0.01)
+    margins_s = 0.2 + 1.0  # before and after unknown time, too, which an alarm may outlast
+    assert bundle.free_motion.hours * 3600 == pytest.approx(free_s - warm_up_s - margins_s, abs=0.01)
+    always = found.sanity[0]
+    assert always.false_per_hour == pytest.approx(3600 / free_s) and always.collisions == 0
+    said = evaluate({"o": observer_bundle()}, [lambda: replace(unknown, contact=None)], [], tmp_path, seed=0, threads=1)
+    assert said.bundles[0].free_motion.false_collisions == 1  # the same push in motion that is called free
 
 
 def test_alarms_less_than_half_a_second_apart_are_one_and_one_that_outlasts_its_event_is_none():

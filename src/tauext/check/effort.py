@@ -11,7 +11,7 @@ from tauext.check import joint_fit
 from tauext.check.examination import SEARCH_S, Examination
 from tauext.check.finding import Finding, Severity
 from tauext.check.joint_fit import FitRows, JointFit
-from tauext.check.motion import MOVING_RAD_S, Stretch
+from tauext.check.motion import MOVING_RAD_S, Stretch, some_known
 from tauext.data.description_template import UR_EFFORT, UR_JOINTS
 from tauext.data.recording import Recording
 from tauext.data.servo import in_amperes
@@ -95,10 +95,11 @@ def sign_findings(x: Examination) -> Iterator[Finding]:
 
 def poses_of(recordings: Sequence[Recording]) -> tuple[np.ndarray, np.ndarray]:
     """Medians of position [rad] and torque [N m] of each pose, (poses, joints): seconds in which no joint moves by 0.01
-    rad, poses 0.05 rad apart. Labelled contacts are left out."""
+    rad, poses 0.05 rad apart. Labelled contacts are left out, as are rows of unknown contact (see `stretches`)."""
     poses: list[tuple[list[np.ndarray], list[np.ndarray]]] = []
+    touched = (1, -1) if some_known(recordings) else (1,)
     for r in recordings:
-        free = np.ones(r.samples, dtype=bool) if r.contact is None else r.contact != 1
+        free = np.ones(r.samples, dtype=bool) if r.contact is None else ~np.isin(r.contact, touched)
         window = (r.time_s // 1.0).astype(int)
         for k in np.unique(window):
             rows = (window == k) & free

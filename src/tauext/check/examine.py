@@ -9,7 +9,7 @@ from pathlib import Path, PurePath
 import numpy as np
 
 from tauext import _core, plugins
-from tauext.check.checks import CHECKS, STEPS, causes_only, run
+from tauext.check.checks import CHECKS, OF_CURRENTS, STEPS, causes_only, run
 from tauext.check.examination import Examination
 from tauext.check.finding import SEVERITIES, Facts, Finding, Found, Plots, Severity
 from tauext.check.joint_fit import FitRows, JointFit
@@ -125,8 +125,7 @@ def _of_currents(found: list[Finding], recordings: Sequence[Recording]) -> list[
             )
         return f"no action is needed if torque constants explain it, which `train` fits; else {finding.advice}"
 
-    codes = ("effort-scale", "effort-motor-side", "position-offset")
-    return [replace(f, severity="warning", advice=advice(f)) if f.code in codes and f.joint else f for f in found]
+    return [replace(f, severity="warning", advice=advice(f)) if f.code in OF_CURRENTS and f.joint else f for f in found]
 
 
 def facts_of(x: Examination) -> list[Facts]:
@@ -202,7 +201,8 @@ def as_files(diagnosis: Diagnosis, recordings: Iterable[str], without_model: boo
     """Contents of check.txt and check.json, of recordings of these names."""
     text = as_text(diagnosis)
     if without_model:
-        text = f"no robot model: order, scale, gravity and payload cannot be checked\n{text}"
+        what = "order, scale, gravity and payload cannot be checked, and touches without a label not be found"
+        text = f"no robot model: {what}\n{text}"
     return text, as_data(diagnosis) | {"recordings": list(recordings)}
 
 

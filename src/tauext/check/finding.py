@@ -21,6 +21,7 @@ CODES = {
     "clock-gaps": "samples are missing",
     "clock-irregular": "the steps between samples differ",
     "contact-in-free-motion": "contacts in a recording declared free, labelled or found in the torque",
+    "contact-unknown": "time of which it is unknown whether something touched the arm",
     "dead-band": "the torque is 0 below a threshold",
     "degrees": "positions, or positions and velocities, are in degrees",
     "effort-compensated": "gravity or the whole model is already subtracted from the torque",

@@ -97,15 +97,24 @@ class Stretch:
 
 
 def stretches(recordings: Iterable[Recording], contacts: bool = False) -> list[Stretch]:
-    """Evenly sampled stretches of at least 2 s, without repeated rows and, unless kept, labelled contacts."""
-    found, start_s = [], 0.0
+    """Evenly sampled stretches of at least 2 s, without repeated rows and, unless kept, labelled contacts.
+
+    Rows of unknown contact are left out with them, unless no row of any recording is known to be free.
+    """
+    recordings, found, start_s = list(recordings), [], 0.0
+    known = some_known(recordings)
     for number, recording in enumerate(recordings):
-        for rows in _whole(recording, contacts):
+        for rows in _whole(recording, contacts, known):
             t = (recording.t_ns[rows] - recording.t_ns[0]) * 1e-9
             if t[-1] - t[0] >= 2.0:  # a shorter one is mostly filter transients
                 found.append(_even(recording, rows, t, number, start_s))
         start_s += recording.duration_s
     return found
+
+
+def some_known(recordings: Iterable[Recording]) -> bool:
+    """Whether a row of some recording is known to be free of contact."""
+    return any(r.contact is None or bool((r.contact == 0).any()) for r in recordings)
 
 
 def repeated_rows(recording: Recording) -> np.ndarray:
@@ -119,10 +128,11 @@ def repeated_rows(recording: Recording) -> np.ndarray:
     return repeated
 
 
-def _whole(recording: Recording, contacts: bool) -> list[np.ndarray]:
-    """Rows of each stretch, without repeats."""
+def _whole(recording: Recording, contacts: bool, known: bool) -> list[np.ndarray]:
+    """Rows of each stretch, without repeats and, if `known`, without those of unknown contact."""
     keep = ~repeated_rows(recording)
-    touched = recording.time_s[[] if contacts or recording.contact is None else recording.contact == 1]
+    labels = np.zeros(recording.samples) if contacts or recording.contact is None else recording.contact
+    touched = recording.time_s[np.isin(labels, (1, -1) if known else 1)]
     if len(touched):  # labels come late, and an arm springs back for half a second
         after = np.searchsorted(touched, recording.time_s)
         to_next = touched[np.minimum(after, len(touched) - 1)] - recording.time_s

@@ -12,8 +12,9 @@ from tauext.check import joint_fit
 from tauext.check.examination import Examination
 from tauext.check.finding import Finding
 from tauext.check.joint_fit import RESISTS, FitRows, JointFit
-from tauext.check.motion import MOVING_RAD_S, RowFilter, smooth, stretches
+from tauext.check.motion import MOVING_RAD_S, RowFilter, smooth, some_known, stretches
 from tauext.config import FreeMotionConfig
+from tauext.data.free_motion import total_s, unknown_s
 from tauext.data.recording import Recording, runs_of
 from tauext.data.servo import torque_unit
 
@@ -159,7 +160,14 @@ class ContactRules:
 
 def contact_findings(x: Examination) -> Iterator[Finding]:
     """Recordings that are called free, by `called_free` or by what made them, and hold samples labelled contact. No
-    fault: what is labelled is left out of training and limits; what the label misses at its ends is not."""
+    fault: what is labelled is left out of training and limits; what the label misses at its ends is not. A note states
+    how much is of unknown contact."""
+    if unknown := unknown_s(x.recordings):
+        evidence = f"contact = -1, unknown, in {unknown:.1f} s of {total_s(x.recordings):.1f} s"
+        advice = "training, limits and these checks leave that time out; label it if it is free motion"
+        if not some_known(x.recordings):
+            advice = "no motion is known to be free, so training refuses it: label it, or import it without the contact"
+        yield Finding("contact-unknown", "note", None, evidence, advice)
     for r in x.recordings:
         free = r.name in x.called_free or r.provenance.get("contacts") == "none"
         if not free or r.contact is None or not (r.contact == 1).any():
@@ -287,11 +295,11 @@ def is_unlabelled_contact(finding: Finding) -> bool:
 
 
 def near_label(rows: FitRows, recordings: Sequence[Recording]) -> np.ndarray:
-    """Rows (rows,) bool that training leaves out because a labelled contact is near."""
+    """Rows (rows,) bool that training leaves out, as a labelled contact is near, and those near unknown contact."""
     margins, start_s = FreeMotionConfig(), 0.0
     near = np.zeros(len(rows.time_s), dtype=bool)
     for r in recordings:
-        for first, after in [] if r.contact is None else runs_of(r.contact == 1).tolist():
+        for first, after in [] if r.contact is None else runs_of(r.contact != 0).tolist():
             begin, end = start_s + r.time_s[first] - margins.before_s, start_s + r.time_s[after - 1] + margins.after_s
             near |= (rows.time_s >= begin) & (rows.time_s <= end)
         start_s += r.duration_s

@@ -435,6 +435,7 @@ def describe_recording(file: Path) -> Content:
         "torque_is": recording.torque_timing,
         "also_holds": [name for name in (*OPTIONAL_SIGNALS, *FLAGS) if getattr(recording, name) is not None],
         "share_in_contact": None if contact is None else float((contact == 1).mean()),
+        "share_of_unknown_contact": None if contact is None else float((contact == -1).mean()),
         "largest_q_rad": largest(recording.q),
         "largest_dq_rad_s": largest(recording.dq),
         f"largest_tau_{torque_unit([recording]).lower()}": largest(recording.tau),

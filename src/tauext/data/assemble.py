@@ -337,8 +337,11 @@ def _stretches(raw: RawRecording, arm: Arm, columns: Columns, pieces: Iterable[P
         if found is None:
             yield piece
             continue
+        lengths = np.diff([0, *found.begins, len(t_ns)])
+        of = f"{found.rows}" if found.rows else f"{lengths.min()} to {lengths.max()}"
+        stretches = f"stretches of {of} rows"
         raw.notes.append(
-            f"stretches of {found.rows} rows were joined: positions jump at {found.jumps} of their ends, by up to "
+            f"{stretches} were joined: positions jump at {found.jumps} of their ends, by up to "
             f"{found.largest_rad:.2g} rad; each stretch is a recording"
         )
         ends = [0, *found.begins.tolist(), len(t_ns)]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 MEASURED = r"(actual|act|measured|meas|present|state|ist)"
 GOAL = r"(des|desired|cmd|commanded|command|ref|reference|target|goal|set|setpoint|soll)"
 _BEFORE = rf"(({MEASURED}|joints?|jnt|j|robot|motor|arm|ax[ei]s|gelenke?|achsen?)_)*"
-_AFTER = rf"(_({MEASURED}|joints?))*"
+_AFTER = rf"(_({MEASURED}|joints?|jnt|j|a|motor|ax[ei]s|gelenke?|achsen?))*"
 _ANGLE = r"q|qpos|q_pos|pos|positions?|theta|angles?|winkel"
 
 
@@ -33,7 +33,8 @@ GUESSES = {
     "temperature": _usual(r"temps?|temperatures?"),
     "duty": r"(duty|pwm|load|present_(load|pwm))",
     "voltage": r"(voltage|voltages|present_voltage)",
-    "time": r"(_*(t|time|times|timestamps?|stamp)|time_cont|zeit)",
+    "time": r"_*((elapsed|sim|simulation|ros|system|robot|log|rel|relative)_)?(t|times?|time_?stamps?|stamp)|"
+    r"time_cont|zeit",
     "label": r"(label|labels|contact|contacts|collision|collisions|touch)",
 }
 """Usual names of each signal, without joint, counter and unit."""
@@ -57,15 +58,15 @@ def is_unsure(signal: str, words: str) -> bool:
 # --- Units in names: `q1 (deg)`, `Time [sec]`, `effort_Nm_3`.
 
 
-_PER_S = r"( ?/ ?|_|p| per |_per_)(s|sec|seconds?)"
+_PER_S = r"(( ?/ ?|_|p| per |_per_)(s|sec|seconds?)|[ .·*]?s(\^|\*\*)?[-−]1|[ .·*]?s⁻¹)"
 _ANGLES = {"rad": r"rads?|radians?", "deg": r"degs?|degrees?|°|grad"}
-_TORQUES = {"Nm": r"n[ .*·_-]?m", "mNm": r"mn[ .*·_-]?m|n[ .*·]?mm", "kNm": r"kn[ .*·_-]?m"}
+_TORQUES = {"Nm": r"n[ .*·_-]?m|newton[ _-]?met(er|re)s?", "mNm": r"mn[ .*·_-]?m|n[ .*·]?mm", "kNm": r"kn[ .*·_-]?m"}
 _AMPERES = {"A": r"a|amps?|amperes?", "mA": r"ma|milliamps?|milliamperes?"}
 UNITS: dict[str, dict[str, str]] = {
     "q": _ANGLES,
     "q_des": _ANGLES,
     "dq": {
-        "rad/s": rf"rads|(rads?|radians?){_PER_S}",
+        "rad/s": rf"rads|1/s|(rads?|radians?){_PER_S}",
         "deg/s": rf"degs|(degs?|degrees?|°|grad){_PER_S}|dps",
         "rpm": r"rpm|rev/min|r/min|u/min|1/min",
     },
@@ -84,8 +85,9 @@ UNITS: dict[str, dict[str, str]] = {
 }
 """Units of each signal as arm.toml has them, and how names spell them."""
 _ANY_UNIT = "|".join(dict.fromkeys(spelled for units in UNITS.values() for spelled in units.values()))
-_IN_BRACKETS = re.compile(r"\s*[\[(]\s*([^\[\](){}]+?)\s*[\])]")
-_AT_END = re.compile(rf"(?:[_ /.-]+({_ANY_UNIT})|(?-i:(?<=[a-z])(mNm|Nm|Deg|Rad)))$", re.IGNORECASE)
+_IN_BRACKETS = re.compile(r"\s*[\[(<]\s*([^\[\](){}<>]+?)\s*[\])>]")
+_AT_END = re.compile(rf"(?:[_ /.,-]+(?:in[_ ])?({_ANY_UNIT})|(?-i:(?<=[a-z])(mNm|Nm|Deg|Rad)))$", re.IGNORECASE)
+_AT_BEGIN = re.compile(rf"(?=[^_ ]{{2}})({_ANY_UNIT})[_ ]+", re.IGNORECASE)
 
 
 def unit_of(signal: str, text: str) -> str:
@@ -143,9 +145,28 @@ def spelled(pattern: str) -> Spelled:
         words = words if words in ("observation.state", "action") else words.removeprefix("observation.")
         return Spelled(_in_words(words), unit, certain)
     name = re.sub(rf"^{_SIDES}[_ ./]|[_ ./]{_SIDES}$", "", name)
-    if not unit and (at_end := _AT_END.search(name)) and at_end.start() > 0:
+    # of torque_A1, A is the axis
+    letter = re.search(r"[_ ][A-Za-z]\{(number|index)\}", pattern)
+    if not unit and not letter and (at_end := _AT_END.search(name)) and at_end.start() > 0:
         name, unit = name[: at_end.start()], at_end[1] or at_end[2]
+    if not unit and (first := _AT_BEGIN.match(name)) and _is_signal_in(name[first.end() :], first[1]):
+        name, unit = name[first.end() :], first[1]
     return Spelled(_in_words(re.split(r"[./]", name)[-1]), unit, certain)
+
+
+def _is_signal_in(name: str, unit: str) -> bool:
+    """Whether a name is usual for a signal that has this unit."""
+    return any(unit_of(signal, unit) and fits(signal, _in_words(name)) for signal in UNITS)
+
+
+def _without_unit(name: str) -> str:
+    """A name without the unit in brackets or at its end; empty: its unit is no angle's."""
+    for match in _IN_BRACKETS.finditer(name):
+        if is_unit(match[1]) or match[1] in ("m", "mm", "cm", "-"):
+            bare = (name[: match.start()] + name[match.end() :]).strip()
+            return bare if unit_of("q", match[1]) else ""
+    angle = f"({_ANGLES['rad']}|{_ANGLES['deg']})"
+    return re.sub(rf"^{angle}[_ ]+|[_ ,]+(in )?{angle}$", "", name, flags=re.IGNORECASE)
 
 
 def _in_words(name: str) -> str:
@@ -265,10 +286,14 @@ def _in_columns(names: Sequence[str], robot: Sequence[str]) -> tuple[str, ...]:
             if len(joints) > 1:
                 return joints
     q = r"(q|pos|position|positions|angle)"
-    unit = rf"([_ ]*[\[(]\s*({_ANGLES['rad']}|{_ANGLES['deg']})\s*[\])]|_({_ANGLES['rad']}|{_ANGLES['deg']}))?"
-    patterns = (rf"{q}[_.](?P<joint>.+?){unit}", rf".*?(?P<joint>[^/]+)/{q}{unit}", rf"(?P<joint>.+?)[_. ]{q}{unit}")
-    for pattern in patterns:
-        found = (match["joint"] for name in plain if (match := re.fullmatch(pattern, name, re.IGNORECASE)))
+    bare = [found for name in plain if (found := _without_unit(name))]
+    alone = [_without_unit(name) for name in plain if _IN_BRACKETS.search(name)]  # "shoulder (deg)"
+    alone = [
+        one for one in alone if one and not any(spelled(re.sub(r"\d+", "", one)).names(signal) for signal in GUESSES)
+    ]
+    patterns = (rf"{q}[_. ](?P<joint>.+)", rf".*?(?P<joint>[^/]+)/{q}", rf"(?P<joint>.+?)[_. ]{q}")
+    for pattern, of in (*((one, bare) for one in patterns), (r"(?P<joint>.+)", alone)):
+        found = (match["joint"] for name in of if (match := re.fullmatch(pattern, name, re.IGNORECASE)))
         joints = _without_words(tuple(dict.fromkeys(found)))
         # q_d0 and q_des_0 are numbered goals, q_x is a coordinate: not joints.
         none = rf"(d|{_ANGLES['rad']}|{_ANGLES['deg']})?_?\d*|[xyzw]|r[xyz]|q[xyzw]|roll|pitch|yaw"

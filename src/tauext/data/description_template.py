@@ -134,6 +134,7 @@ def _arms_stream_first(
     others = [stream for stream in order[1:] if arms[stream]]
     if any(len(arms[stream] & {*robot}) == len(arms[first] & {*robot}) for stream in others):
         why = f"{', '.join([first, *others])} have positions of joints: choose the arm's"
+        why += "; for another arm, import the same file again with a description of its own"
         for signal in NEEDED:
             found.values[f"signals.{signal}.topic"] = GUESSED + first
             found.why[f"signals.{signal}.topic"] = why
@@ -331,9 +332,14 @@ def _contradicts(one_hz: float, other_hz: float, most: float = 1.2) -> bool:
     return bool(ratio) and all(max(ratio / factor, factor / ratio) > most for factor in (1, 180 / np.pi, np.pi / 180))
 
 
+RADIANS = {"rad": 1.0, "deg": np.pi / 180, "rpm": np.pi / 30}
+
+
 def _rate_of_velocity(guessed: Guess, block: RawSignals) -> float:
     """Rows a second at which the velocity is the derivative of the position, [Hz]; 0: not to be found."""
     q, dq = (block.columns[:, _indices(guessed, block, signal)] for signal in ("q", "dq"))
+    if {"q", "dq"} <= {*guessed.units}:
+        q, dq = (x * RADIANS[guessed.units[signal].removesuffix("/s")] for x, signal in ((q, "q"), (dq, "dq")))
     if q.shape[1] == 0 or q.shape != dq.shape or len(q) < 100:
         return 0.0
     moved, mean = np.diff(q, axis=0), (dq[1:] + dq[:-1]) / 2

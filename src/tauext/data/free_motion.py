@@ -76,6 +76,11 @@ def has_contact(recording: Recording) -> bool:
     return recording.contact is not None and bool((recording.contact == 1).any())
 
 
+def unknown_s(recordings: Iterable[Recording]) -> float:
+    """Time of which it is unknown whether something touches the arm (contact = -1), [s]."""
+    return sum(float((r.contact == -1).sum()) / r.rate_hz for r in recordings if r.contact is not None)
+
+
 def free_samples(recording: Recording, margins: FreeMotionConfig = FreeMotionConfig()) -> np.ndarray:  # noqa: B008
     """Whether each sample is free motion: no contact there nor within the margins, (samples,) bool.
 

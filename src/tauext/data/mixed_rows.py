@@ -23,6 +23,8 @@ class MixedRules:
     """Rows on which alternation is judged."""
     stretches: int = 3
     """Least number of jumps at equal distances that are ends of joined stretches."""
+    beyond: float = 5.0
+    """Least jump at another distance, as a multiple of the largest step between other rows."""
     least_rows: int = 10
     """Shortest stretch."""
 
@@ -84,19 +86,23 @@ def _words(q: np.ndarray) -> str:
 
 @dataclass(frozen=True)
 class Joined:
-    """Stretches of equal length that were joined."""
+    """Stretches that were joined."""
 
-    rows: int
-    """Rows of each."""
     begins: np.ndarray
     """Indices at which the stretches after the first begin."""
     jumps: int
     """Ends at which positions jump."""
     largest_rad: float
+    rows: int = 0
+    """Rows of each stretch; 0: their lengths differ."""
 
 
 def joined(q: np.ndarray, row: np.ndarray, rules: MixedRules = MixedRules()) -> Joined | None:
-    """Find stretches of equal length that were joined: positions jump to another pose, every so many rows.
+    """Find stretches that were joined: positions jump to another pose and go on from there.
+
+    Jumps at equal distances are ends of stretches of equal length, at some of which positions may not jump. A jump at
+    another distance must exceed all other steps by far. Beside rows that repeat it is none: the log stood still
+    meanwhile, or the driver measured nothing.
 
     Args:
         q: positions (samples, joints), [rad].
@@ -105,19 +111,25 @@ def joined(q: np.ndarray, row: np.ndarray, rules: MixedRules = MixedRules()) -> 
     if len(q) < 3 * rules.least_rows:
         return None
     steps = steps_of(q)
-    large = steps > rules.jump_rad
-    at = np.flatnonzero(large.sum(axis=1) >= min(rules.joints, q.shape[1]))
-    if not rules.stretches <= len(at) <= len(q) // rules.least_rows:
+    at = np.flatnonzero((steps > rules.jump_rad).sum(axis=1) >= min(rules.joints, q.shape[1]))
+    if not 0 < len(at) <= len(q) // rules.least_rows:
         return None
     # Beyond what the joint moves between other rows; what jumps back in the next row is a spike.
     usual = np.quantile(steps, 1 - 2 * len(at) / len(steps), axis=0)
     at = at[(steps[at] > np.maximum(rules.jump_rad, 5 * usual)).any(axis=1)]
     at = at[~np.isin(at + 1, at) & ~np.isin(at - 1, at)]
-    if len(at) < rules.stretches:
-        return None
     begins = row[at + 1]
-    length = int(np.gcd.reduce(np.diff(begins)))
-    if length < rules.least_rows:
+    length = int(np.gcd.reduce(np.diff(begins))) if len(at) >= rules.stretches else 0
+    if length >= rules.least_rows:
+        every = np.flatnonzero((row[1:] - begins[0]) // length != (row[:-1] - begins[0]) // length) + 1
+        return Joined(every, len(at), float(steps[at].max()), length)
+    still = ~steps.any(axis=1)
+    moves = ~(np.r_[True, still[:-1]][at] | np.r_[still[1:], True][at])
+    at = at[moves & (row[at + 1] - row[at] == 1)]
+    others = np.delete(steps, at, axis=0)
+    far = steps[at] > np.maximum(rules.jump_rad, rules.beyond * others.max(axis=0, initial=0.0))
+    if not len(at) or not (far.sum(axis=1) >= min(rules.joints, q.shape[1])).all():
         return None
-    every = np.flatnonzero((row[1:] - begins[0]) // length != (row[:-1] - begins[0]) // length) + 1
-    return Joined(length, every, len(at), float(steps[at].max()))
+    if np.diff(np.r_[0, at + 1, len(q)]).min() < rules.least_rows:
+        return None
+    return Joined(at + 1, len(at), float(steps[at].max()))

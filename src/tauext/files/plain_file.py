@@ -131,6 +131,8 @@ def number_of(text: str) -> float:
 
 def toml_of(text: str) -> dict[str, Any]:
     """The content of a TOML text; ValueError where it is none."""
+    if re.search(r"""(?<![\w.-])(?:("[^"\n]*"|'[^'\n]*'|[\w-]+)[ \t]*\.[ \t]*){64}""", text):
+        raise ValueError("it is nested too deeply")  # dotted keys of many parts would take hours
     try:
         return tomllib.loads(text)
     except RecursionError:

@@ -43,7 +43,11 @@ def read_xml(path: Path) -> XmlFile:
     failed: list[Exception] = []
     for encoding in (None, "utf-8", "iso-8859-1"):
         try:
-            return XmlFile(path, *_parsed(content, encoding))
+            file = XmlFile(path, *_parsed(content, encoding))
+            for element in file.lines:
+                if re.search(r"[\x00-\x1f\x7f-\x9f]", name := element.get("name", "")):
+                    raise file.error(element, f"the name {ascii(name)} has characters that cannot be printed")
+            return file
         except (expat.ExpatError, ValueError, LookupError) as error:
             failed.append(error)
     raise RobotError(f"{path}: not readable as XML: {failed[0]}") from failed[0]

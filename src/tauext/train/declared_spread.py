@@ -16,6 +16,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.bundle.estimates import COLLISION
+from tauext.data.free_motion import free_pieces
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.fit.tail import duration, upper_rate
@@ -173,16 +174,16 @@ def pressed(
 def with_tool_forces(
     bundle: _core.Bundle, loaders: Sequence[Callable[[], Recording]], most_hours: float = 1.0
 ) -> Iterable[tuple[Recording, Contacts]]:
-    """Some hours of these recordings with a tool that presses; each has a force and errors of its own."""
+    """Some hours of these recordings' free motion with a tool that presses; each has a force and errors of its own."""
     hours = 0.0
     for number, load in enumerate(loaders):
         if hours >= most_hours:
             return
-        recording = load()
-        hours += recording.duration_s / 3600
-        found = pressed(bundle, recording, np.random.default_rng([0, number, 65]))
-        if found is not None:
-            yield found[0], [(found[1], int(recording.t_ns[0]), math.inf)]
+        for k, recording in enumerate(free_pieces([load()])):
+            hours += recording.duration_s / 3600
+            found = pressed(bundle, recording, np.random.default_rng([0, number, 65] + [k] * (k > 0)))
+            if found is not None:
+                yield found[0], [(found[1], int(recording.t_ns[0]), math.inf)]
 
 
 # --- What is noticed while the tool presses and the arm stands.

@@ -23,6 +23,7 @@ from tauext.data.free_motion import (
     split_by_time,
     standing_joints,
     total_s,
+    unknown_s,
 )
 from tauext.data.labels import Label
 from tauext.data.recording import Recording
@@ -224,9 +225,10 @@ def left_out_sentences(recordings: Sequence[Recording], config: TrainConfig) -> 
     left_out_s = sum(float((~free_samples(r, config.margins)).sum() / r.rate_hz) for r in recordings)
     if not left_out_s:
         return []
+    unknown = f"; of {seconds:.1f} s the contact is unknown (-1)" if (seconds := unknown_s(recordings)) else ""
     return [
         f"{left_out_s:.1f} s are left out: in contact, {config.margins.before_s:g} s before one or "
-        f"{config.margins.after_s:g} s after"
+        f"{config.margins.after_s:g} s after{unknown}"
     ]
 
 

@@ -18,7 +18,7 @@ from tauext.bundle.estimates import STALE, Estimates, save_estimates
 from tauext.bundle.loss_history import LossHistory
 from tauext.check.before_training import Rejected
 from tauext.data.dataset import ahead
-from tauext.data.free_motion import free_samples
+from tauext.data.free_motion import free_samples, unknown_s
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.files.checkpoint import Checkpoint
@@ -187,7 +187,7 @@ def evaluate(
     Args:
         bundles: by their names.
         test: recordings outside training and validation; of those with contacts the free motion counts, and
-            the contacts are taken with the others.
+            the contacts are taken with the others. Time of unknown contact counts nowhere.
         collisions: recordings with contacts.
         estimates_dir: gets one folder per bundle, with estimates of all collision recordings and of some free motion.
         seed: of the choice of ten collisions, and of random alarms.
@@ -245,6 +245,7 @@ class Comparison:
         self._others = [OtherMeasures(name, other, EventMeasures(events)) for name, other in others.items()]
         self._limits_held = {name: LimitsHeld() for name in bundles}
         self._touches: list[Collision] = []
+        self._unknown_s = 0.0
 
     def add(
         self,
@@ -262,8 +263,9 @@ class Comparison:
             keep_in: folder for its estimates, with a folder a bundle; None: they are not kept.
             pool: evaluates the bundles, one thread each.
         """
-        found = find_collisions(recording)
+        found, all_free = find_collisions(recording), bool(free_samples(recording).all())
         self._touches += found
+        self._unknown_s += unknown_s([recording])
         speeds = [bundle.near_stiction_rad_s for bundle in self._bundles.values()]
         labels = {speed: Labels(recording, self._events, speed) for speed in set(speeds)}
         if self._own is not None:
@@ -282,7 +284,7 @@ class Comparison:
                 save_estimates(replace(estimates, contact_limit_nm=None), keep_in / name / f"{recording.name}.parquet")
             measures.add_events(labels[bundle.near_stiction_rad_s], estimates)
             if free:
-                without_touches = free_part(recording, estimates) if found else estimates
+                without_touches = estimates if all_free else free_part(recording, estimates)
                 measures.add_free(recording, without_touches)
                 self._limits_held[name].add(recording, without_touches)
             if found or not free:
@@ -330,6 +332,7 @@ class Comparison:
             own_torque=None if self._own is None else self._own.summary(),
             sanity=tuple(detector.summary() for detector in self._ignorant),
             others=tuple(other.summary() for other in self._others),
+            unknown_contact_hours=self._unknown_s / 3600,
         )
 
     def _detected(self, name: str) -> DetectedForces:
@@ -378,8 +381,9 @@ def ten_for_all(
 
 
 def free_part(recording: Recording, estimates: Estimates) -> Estimates:
-    """The estimates with time in or near contacts marked as unhealthy, and without alarms in that time."""
-    free = free_samples(recording)
+    """The estimates with time in or near contacts, or of unknown contact, marked as unhealthy and without alarms."""
+    labels = None if recording.contact is None else np.abs(recording.contact)  # an alarm may outlast unknown time, too
+    free = free_samples(replace(recording, contact=labels))
     return replace(
         estimates,
         health=np.where(free | ~estimates.healthy, estimates.health, STALE).astype(np.int8),

@@ -69,10 +69,10 @@ def is_moving(recording: Recording, near_stiction_rad_s: float) -> np.ndarray:
 def event_time(recording: Recording, tolerance_s: float) -> np.ndarray:
     """Whether a sample is in a labelled stretch of any length, in the tolerance around it, or unknown: (samples,) bool.
 
-    All other time is free. A recording without a label is free throughout.
+    All other time is free. A recording without labels is free throughout.
     """
     contact = recording.contact
-    if contact is None or (contact == -1).all():
+    if contact is None:
         return np.zeros(recording.samples, dtype=bool)
     time_s, at = recording.time_s, np.flatnonzero(contact == 1)
     first = np.searchsorted(time_s, time_s[at] - tolerance_s)

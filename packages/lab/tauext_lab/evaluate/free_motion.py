@@ -10,6 +10,7 @@ import numpy as np
 
 from tauext import _core
 from tauext.bundle.estimates import COLLISION, CONTACT, Estimates
+from tauext.data.free_motion import free_samples
 from tauext.data.recording import Recording
 from tauext.fit.tail import is_kept, rate_interval
 from tauext_lab.evaluate.collisions import GRACE_S, Collision, judge_latched
@@ -294,14 +295,15 @@ class Sanity:
 
     def add_free(self, number: int, recording: Recording) -> None:
         """Take in one recording of free motion; an alarm continued from the last one is not counted again."""
-        alarm = self.alarms(number, recording)
+        free = free_samples(recording)
+        alarm = self.alarms(number, recording) & free
         at = np.flatnonzero(alarm)
         apart = np.diff(at) > round(FALSE_ALARM_QUIET_S * recording.rate_hz)
         self._false += (len(at) > 0 and not (self._in_alarm and alarm[0])) + int(apart.sum())
         self._in_alarm = bool(alarm[-1])
         self._alarmed += len(at)
-        self._samples += recording.samples
-        self._hours += recording.samples / recording.rate_hz / 3600
+        self._samples += int(free.sum())
+        self._hours += free.sum() / recording.rate_hz / 3600
 
     def add_collisions(
         self, number: int, touches: Sequence[Collision], recording: Recording, estimates: Estimates

@@ -656,6 +656,8 @@ class Results:
     own_torque: OwnTorqueEvents | None
     sanity: tuple[SanityRow, ...]
     others: tuple[OtherEvents, ...] = ()
+    unknown_contact_hours: Number = None
+    """Hours of the recordings that count neither as free motion nor as contact: contact = -1."""
 
     @property
     def ten(self) -> tuple[LabelledCollision, ...]:

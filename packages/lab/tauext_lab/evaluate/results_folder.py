@@ -23,6 +23,7 @@ from tauext.data.recording_file import fingerprint
 from tauext.errors import ConfigError
 from tauext.files.checkpoint import Checkpoint
 from tauext.files.provenance import VERSION, provenance, write_json
+from tauext.fit.tail import duration
 from tauext.progress import SILENT, Reporter
 from tauext_lab.evaluate.comparison import evaluate
 from tauext_lab.evaluate.config import EventsConfig
@@ -100,6 +101,9 @@ def evaluate_bundles(
     content = write_results(results, out, "tauext evaluate", seed, source_of(dataset, command, scale))
     for words in filter(None, map(unhealthy_words, results.bundles)):
         report.say(words)
+    if results.unknown_contact_hours:
+        unknown = duration(results.unknown_contact_hours)
+        report.say(f"{unknown} of unknown contact (-1) are left out: neither free motion nor contact")
     kept.end()
     return content
 

@@ -143,7 +143,9 @@ def tested(results: Results, bundle: EvaluatedBundle) -> str:
         f" ({', '.join(counted)})" if sum(kinds[kind] for kind in CONTACT_KINDS) == kinds.total() and counted else ""
     )
     touches = f"{plural(kinds.total(), 'collision')}{known}" if kinds else "no collision"
-    return f"Tested on {motion}, and on {touches}; none of it was used in training.{rejected_words(bundle)}"
+    unknown = results.unknown_contact_hours
+    left_out = f" {duration(unknown)} of unknown contact are left out." if unknown else ""
+    return f"Tested on {motion}, and on {touches}; none of it was used in training.{left_out}{rejected_words(bundle)}"
 
 
 def rejected_words(bundle: EvaluatedBundle) -> str:

@@ -68,15 +68,22 @@ def ros_type(name: str) -> str:
     return "/".join([parts[0], "msg", parts[1]] if len(parts) == 2 else parts)
 
 
+def most_unpacked(packed: int) -> int:
+    """Bytes that a part of so many bytes may unpack to: a thousand times its size, or 64 MB; an arm at rest has below
+    a hundred times."""
+    return min(MOST_BYTES, max(1 << 26, 1000 * packed))
+
+
 def decompressed(data: bytes, codec: str) -> tuple[bytes, bool]:
-    """Decompress zstd or lz4 as far as the data is whole, and to MOST_BYTES; also returns whether all of it is."""
+    """Decompress zstd or lz4 as far as the data is whole, and to `most_unpacked`; also returns whether all of it is."""
     stream, parts, size = pa.CompressedInputStream(pa.BufferReader(data), codec), list[bytes](), 0
+    most = most_unpacked(len(data))
     try:
-        while (part := stream.read(1 << 16)) and (size := size + len(part)) <= MOST_BYTES:
+        while (part := stream.read(1 << 16)) and (size := size + len(part)) <= most:
             parts.append(part)
     except OSError:
         return b"".join(parts), False
-    return b"".join(parts), size <= MOST_BYTES
+    return b"".join(parts), size <= most
 
 
 # --- ROS 2: sqlite3 files, also those that the recorder did not close.
@@ -337,6 +344,6 @@ def _ros1_fields(data: bytes | mmap.mmap, at: int, end: int) -> dict[bytes, byte
 def _bz2(packed: bytes) -> bytes | None:
     """Decompress as far as the data is whole; None: it is damaged."""
     try:
-        return bz2.BZ2Decompressor().decompress(packed, MOST_BYTES)
+        return bz2.BZ2Decompressor().decompress(packed, most_unpacked(len(packed)))
     except OSError:
         return None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import csv
+import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -34,8 +35,9 @@ from tauext.data.importers.cells import (
     stated_hz,
     unread_times,
 )
-from tauext.data.importers.raw import Lost, RawRecording, RawSignals, short_list
+from tauext.data.importers.raw import MOST_UNPACKED, RATIO, Lost, RawRecording, RawSignals, short_list
 from tauext.errors import RecordingError
+from tauext.files.preflight import in_words
 
 GZIP_MAGIC = b"\x1f\x8b"
 UTF16_MAGIC = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
@@ -146,10 +148,16 @@ class _Text:
         """
         with self.path.open("rb") as raw:
             zipped = raw.read(2) == GZIP_MAGIC
-        held, rest, convert = b"", b"", None
+        held, rest, convert, size = b"", b"", None, 0
+        most = max(MOST_UNPACKED, RATIO * self.path.stat().st_size) if zipped else math.inf
         try:
             with pa.input_stream(str(self.path), compression="gzip" if zipped else None) as file:
                 while data := file.read(BLOCK_BYTES):
+                    if (size := size + len(data)) > most:
+                        raise RecordingError(
+                            f"{self.path}: it unpacks to more than {in_words(most)}, from "
+                            f"{in_words(self.path.stat().st_size)}; no recording is packed like that"
+                        )
                     convert = convert or _converter(data)
                     data = rest + convert(data)
                     end = data.rfind(b"\n") + 1

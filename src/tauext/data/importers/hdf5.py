@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from tauext.data.importers.cells import USUAL_CLOCK, paired_stamps, stated_hz
-from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list, whole
+from tauext.data.importers.raw import BLOCK_ROWS, MOST_UNPACKED, RATIO, RawRecording, RawSignals, short_list, whole
 from tauext.errors import RecordingError
 from tauext.files.preflight import in_words
 
@@ -275,8 +275,6 @@ BROKEN = (OSError, RuntimeError, ValueError, KeyError, TypeError, MemoryError)
 MAGIC = b"\x89HDF\r\n\x1a\n"
 MOST_CHUNK = 1 << 27
 """Largest chunk of a dataset, [bytes]: the library unpacks all of it for a few rows."""
-MOST_UNPACKED, RATIO = 1 << 28, 200
-"""Bytes that a file may unpack to, whatever its size, and as a multiple of its size: an arm at rest has below 100."""
 MOST_WORDS = 1 << 20
 """Largest list of names or of cells, [bytes]."""
 
@@ -361,7 +359,7 @@ def _expect_readable(path: Path, dataset: Any) -> None:
     import h5py
 
     stored, plist = dataset.id.get_storage_size(), dataset.id.get_create_plist()
-    if dataset.size and dataset.chunks and not stored:
+    if dataset.size and not stored:
         raise RecordingError(
             f"{path}: '{dataset.name}' states {dataset.shape[0]:,} rows, and none was written; record the file again"
         )

@@ -17,7 +17,7 @@ from zlib import crc32
 
 import pyarrow as pa
 
-from tauext.data.importers.bag import MOST_BYTES, Channel, CountLost, decompressed, ros_type
+from tauext.data.importers.bag import Channel, CountLost, decompressed, most_unpacked, ros_type
 from tauext.errors import RecordingError
 from tauext.files.preflight import in_words
 
@@ -194,8 +194,8 @@ class McapFile:
         except (struct.error, UnicodeDecodeError):
             return b""
         at += 8
-        if size > MOST_BYTES:
-            self._note(f"a part that states {in_words(size)} is left out: {in_words(MOST_BYTES)} are the most")
+        if size > (most := most_unpacked(length)):
+            self._note(f"a part that states {in_words(size)} is left out: {in_words(most)} are the most for its size")
             return b""
         packed = self._data[at : at + length]
         whole = len(packed) == length

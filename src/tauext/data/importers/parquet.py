@@ -22,11 +22,16 @@ from tauext.data.importers.cells import (
     numbers_of,
     paired_stamps,
 )
-from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list, whole
+from tauext.data.importers.raw import BLOCK_ROWS, MOST_UNPACKED, RawRecording, RawSignals, short_list, whole
 from tauext.errors import RecordingError
+from tauext.files.preflight import in_words
 
 MAGIC, ARROW_MAGIC = b"PAR1", b"ARROW1"
 BROKEN = (pa.ArrowException, OSError)
+MOST_VALUES = 1 << 24
+"""Values of the columns of a batch, all together."""
+RATIO = 1000
+"""Most bytes of numbers a byte of the file: a column that stays the same takes next to none, a clock some."""
 UNIT_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 
 
@@ -38,6 +43,7 @@ def open_parquet(path: Path) -> list[RawRecording]:
     """
     table = _Table(path)
     with whole(path, table.kind, BROKEN):
+        table.expect_unpacked()
         leaves, others = table.leaves()
     stamps = {leaf.name: leaf.different for leaf in leaves if leaf.kind == "stamp"}
     clock = choose_clock(stamps) if stamps else ""
@@ -89,11 +95,39 @@ class _Table:
             kind = "Arrow" if file.read(len(ARROW_MAGIC)) == ARROW_MAGIC else "Parquet"
         object.__setattr__(self, "kind", kind)
 
+    def expect_unpacked(self) -> None:
+        """Refuse a file that states far more numbers than is stored.
+
+        Raises:
+            RecordingError: it does, or it is damaged.
+        """
+        if self.kind != "Parquet":
+            return
+        with pq.ParquetFile(self.path) as file:
+            numbers = sum(self._values(file.metadata))
+        most = max(MOST_UNPACKED, RATIO * self.path.stat().st_size)
+        if 8 * numbers > most:
+            raise RecordingError(
+                f"{self.path}: it states {numbers:,} values, which unpack to more than {in_words(most)}; no recording "
+                "is packed like that"
+            )
+
+    @staticmethod
+    def _values(metadata: Any) -> list[int]:
+        """Values of each column."""
+        groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
+        return [sum(group.column(k).num_values for group in groups) for k in range(metadata.num_columns)]
+
+    def _rows_at_a_time(self, metadata: Any) -> int:
+        """Rows of a batch, fewer where a row has many values."""
+        widest = sum(self._values(metadata)) // max(1, metadata.num_rows)
+        return max(1, min(BLOCK_ROWS, MOST_VALUES // max(1, widest)))
+
     def batches(self, columns: list[str] | None = None) -> Iterator[Any]:
         """Record batches of up to BLOCK_ROWS rows, with these columns; None: all."""
         if self.kind == "Parquet":
             with pq.ParquetFile(self.path) as file:
-                yield from file.iter_batches(BLOCK_ROWS, columns=columns)
+                yield from file.iter_batches(self._rows_at_a_time(file.metadata), columns=columns)
             return
         with pa.memory_map(str(self.path)) as source, pa.ipc.open_file(source) as file:
             for k in range(file.num_record_batches):

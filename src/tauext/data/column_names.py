@@ -292,9 +292,9 @@ def _in_columns(names: Sequence[str], robot: Sequence[str]) -> tuple[str, ...]:
         one for one in alone if one and not any(spelled(re.sub(r"\d+", "", one)).names(signal) for signal in GUESSES)
     ]
     patterns = (rf"{q}[_. ](?P<joint>.+)", rf".*?(?P<joint>[^/]+)/{q}", rf"(?P<joint>.+?)[_. ]{q}")
-    for pattern, of in (*((one, bare) for one in patterns), (r"(?P<joint>.+)", alone)):
-        found = (match["joint"] for name in of if (match := re.fullmatch(pattern, name, re.IGNORECASE)))
-        joints = _without_words(tuple(dict.fromkeys(found)))
+    for pattern, columns in (*((one, bare) for one in patterns), (r"(?P<joint>.+)", alone)):
+        matches = [re.fullmatch(pattern, name, re.IGNORECASE) for name in columns]
+        joints = _without_words(tuple(dict.fromkeys(match["joint"] for match in matches if match)))
         # q_d0 and q_des_0 are numbered goals, q_x is a coordinate: not joints.
         none = rf"(d|{_ANGLES['rad']}|{_ANGLES['deg']})?_?\d*|[xyzw]|r[xyz]|q[xyzw]|roll|pitch|yaw"
         if len(joints) > 1 and not all(re.fullmatch(none, joint, re.IGNORECASE) for joint in joints):

@@ -123,7 +123,7 @@ def joined(q: np.ndarray, row: np.ndarray, rules: MixedRules = MixedRules()) -> 
     if length >= rules.least_rows:
         every = np.flatnonzero((row[1:] - begins[0]) // length != (row[:-1] - begins[0]) // length) + 1
         return Joined(every, len(at), float(steps[at].max()), length)
-    still = ~steps.any(axis=1)
+    still = (steps == 0).all(axis=1)
     moves = ~(np.r_[True, still[:-1]][at] | np.r_[still[1:], True][at])
     at = at[moves & (row[at + 1] - row[at] == 1)]
     others = np.delete(steps, at, axis=0)

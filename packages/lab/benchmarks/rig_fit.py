@@ -126,7 +126,7 @@ def judged(bundle: _core.Bundle, segments: list[Segment], tree: _core.Tree) -> l
         tested.add(segment, found | {"held_alarm": np.where(over, COLLISION, 0)})
     errors = np.concatenate(tested.errors)
     above = sum((peak > errors.max(axis=0)).any() for peak in tested.peaks_nm)
-    counts = f"{len(tested.delays_s)} of {tested.collisions}", tested.false_alarms, f"{above} of {tested.collisions}"
+    counts = f"{tested.found} of {tested.collisions}", tested.false_alarms, f"{above} of {tested.collisions}"
     limits = joined(bundle.sliding_limit_nm, ".1f", "/")
     return [f"{len(errors) / RATE_HZ:.0f}", *error_cells(errors), limits, *map(str, counts)]
 

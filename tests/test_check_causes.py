@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from check_cases import pressed
 from made_arms import _serial, six_axis_tree, urdf
-from made_recordings import made_motion
+from made_recordings import Drive, made_motion
 
 from tauext.check.checks import EXPLAINED, causes_only
 from tauext.check.examine import examine, quick_checks
@@ -138,3 +138,17 @@ def test_the_nearest_possible_inertia_keeps_what_is_possible_and_shares_the_exce
     # A litre of water as a sphere: r = 62.04 mm.
     ball = possible_inertia(CarriedBody("l", "j", 1.0, np.zeros(3)))
     np.testing.assert_allclose(ball, 0.4 * 0.06204**2, rtol=1e-3)
+
+
+def test_motion_without_a_model_is_no_zero_that_grows(tmp_path):
+    """Moves of a few minutes leave errors of gravity that follow the time, and a zero that grows does so in each part."""
+    drive = Drive(profile="trapezoid", presliding_rad=1e-3, noise=0.03, pause_s=1.0)
+    made = made_motion(six_axis_tree(tmp_path), 3.0, pieces=3, drive=drive).recordings
+    assert "torque-changes" not in [found.code for found in examine(made, None).findings]
+    at_s, growing = np.cumsum([0.0, *(one.duration_s for one in made)]), []
+    for one, start_s in zip(made, at_s, strict=False):
+        tau = one.tau.copy()
+        tau[:, 4] += 3.0 * one.tau[:, 4].std() / 60 * (start_s + one.time_s)
+        growing.append(replace(one, tau=tau))
+    found = [found for found in examine(growing, None).findings if found.code == "torque-changes"]
+    assert [one.joint for one in found] == ["joint5"] and "zero changes" in found[0].evidence

@@ -70,7 +70,8 @@ def growth_findings(x: Examination) -> Iterator[Finding]:
 
     The fit of motion and friction gets a term in time. Each recording has an offset of its own, so that motion which
     differs between recordings is no growth. Blocks of five seconds of the errors give the standard error: a program
-    repeats its motion at such times.
+    repeats its motion at such times. Without a model, motion resembles growth for a minute, so that the recordings, or
+    thirds of the time, must agree as well.
     """
     rows = x.rows
     recording = np.unique(rows.recording, return_inverse=True)[1]
@@ -83,6 +84,8 @@ def growth_findings(x: Examination) -> Iterator[Finding]:
 
     if block.max() + 1 < 12:
         return
+    part = recording if len(lengths_s) > 2 else block * 3 // int(block.max() + 1)
+    parts = int(part.max()) + 1
     time_s = centred(rows.time_s)
     starts, moves = half_seconds(rows)
     for j, fit in enumerate(x.fits):
@@ -94,7 +97,12 @@ def growth_findings(x: Examination) -> Iterator[Finding]:
         root = np.sqrt(trust)
         alone = time_s - columns @ np.linalg.lstsq(root[:, None] * columns, root * time_s, rcond=None)[0]
         power = float(trust @ alone**2)
-        sigma = np.sqrt(float((np.bincount(block, trust * alone * error) ** 2).sum())) / max(power, 1e-12)
+        sigma, of_parts = (
+            np.sqrt(float((np.bincount(group, trust * alone * error) ** 2).sum())) / max(power, 1e-12)
+            for group in (block, part)
+        )
+        if not rows.has_model:  # all parts add up to zero, so that one of them is not free
+            sigma = max(sigma, of_parts * np.sqrt(parts / max(parts - 1, 1)))
         # in the longest recording it must exceed the usual error, and in all a quarter of the explained torque's
         # spread: a gear that warms up, with a wrong model, reaches 0.06
         usual = float(np.median(np.maximum.reduceat(np.abs(error), starts)[moves]))

@@ -141,7 +141,7 @@ def test_the_nearest_possible_inertia_keeps_what_is_possible_and_shares_the_exce
 
 
 def test_motion_without_a_model_is_no_zero_that_grows(tmp_path):
-    """Moves of a few minutes leave errors of gravity that follow the time, and a zero that grows does so in each part."""
+    """Minutes of moves leave errors of gravity that follow the time; a zero that grows does so in each part of it."""
     drive = Drive(profile="trapezoid", presliding_rad=1e-3, noise=0.03, pause_s=1.0)
     made = made_motion(six_axis_tree(tmp_path), 3.0, pieces=3, drive=drive).recordings
     assert "torque-changes" not in [found.code for found in examine(made, None).findings]

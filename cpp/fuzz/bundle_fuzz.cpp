@@ -107,7 +107,8 @@ void write_seeds(const std::string& folder) {
   write_seed(folder + "/velocity", b);
   b = made::bundle(2, 0, 1, 1, 1);
   b.observer.nm_per_unit = {2, -0.5};
-  b.units = {tauext::TorqueUnit::ampere, 0, {0, 1}};
+  b.observer.unknown_constant = {0, 1};
+  b.units = {tauext::TorqueUnit::ampere, 0};
   tauext::answer_reference(b);
   write_seed(folder + "/amperes", b);
   b = made::bundle(2, 3, 2, 2, 1);

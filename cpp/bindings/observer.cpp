@@ -25,16 +25,15 @@ void bind_observer_settings(nb::module_& m) {
       .value("energy", ResidualMethod::energy);
   nb::class_<ObserverSettings>(m, "ObserverSettings",
                                "Gain K0 [1/s], torque timing, sample period [ns], network stride; residual method and the rates "
-                               "of its filters [1/s], 0: none; torque constants, factors on tau, empty: none; per joint 1 where the constant is unknown: tau and r in "
-                               "the input's unit, r without the model; empty: none is.")
+                               "of its filters [1/s], 0: none; torque constants, factors on tau, empty: none; per joint 1 where "
+                               "the constant is unknown: tau and r in the input's unit, r without the model; empty: none is.")
       .def(
           "__init__",
           [](ObserverSettings* s, double gain_per_s, TorqueTiming timing, std::int64_t sample_period_ns,
              int network_stride, ResidualMethod method, double high_pass_per_s, double low_pass_per_s,
              std::vector<double> nm_per_unit, std::vector<std::uint8_t> unknown_constant) {
-            new (s) ObserverSettings{gain_per_s,      timing,         sample_period_ns,       network_stride,
-                                     method,          high_pass_per_s, low_pass_per_s,        std::move(nm_per_unit),
-                                     std::move(unknown_constant)};
+            new (s) ObserverSettings{gain_per_s,      timing,         sample_period_ns,       network_stride, method,
+                                     high_pass_per_s, low_pass_per_s, std::move(nm_per_unit), std::move(unknown_constant)};
           },
           nb::kw_only(), nb::arg("gain_per_s"), nb::arg("timing"), nb::arg("sample_period_ns"),
           nb::arg("network_stride"), nb::arg("method") = ResidualMethod::momentum, nb::arg("high_pass_per_s") = 0.0,

@@ -36,8 +36,8 @@ class ContactErrors {
 
   explicit ContactErrors(const Bundle& bundle);
 
-  // What a sample tells of the friction of joints at rest. coulomb: friction in the prior, [N m], empty where unknown; tau: of the
-  // drives, in the bundle's unit.
+  // Friction of joints at rest at a sample. coulomb: in the prior, [N m], empty where unknown; tau: of the drives, in the input's
+  // unit.
   struct Friction {
     std::span<const double> coulomb, tau;
   };

@@ -80,6 +80,14 @@ def test_reported_after_a_tenth_of_a_second_and_again_when_it_grows(bundle, sign
     assert {link for link, share in first.links if share > 0.05} <= {4, 5, 6}
 
 
+def test_what_the_joints_before_the_alarm_s_show_later_is_not_its_place(bundle, signals):
+    """The touch on the fifth link ends, and while its alarm stands the first joint errs by more than the touch."""
+    t_ns, q, said = signals
+    said["tau_ext"][RISES + 50 : FALLS] = [6.0, 0, 0, 0, 0, 0, 0]
+    for change in found(bundle, signals, 1200):
+        assert sum(share for link, share in change.links if link >= 4) > 0.9
+
+
 @pytest.mark.parametrize("step", [1, 7, 250])
 def test_chunks_do_not_change_what_is_reported(bundle, signals, step):
     whole, parts = found(bundle, signals, 1200), found(bundle, signals, step)

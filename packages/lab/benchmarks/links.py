@@ -195,7 +195,7 @@ def row_of(
     last = own[-1]
     first = int(np.searchsorted(made.t_ns, last.t_ns - round(last.since_s * 1e9)))
     until = slice(first, last.row + 1)
-    at = first + int(np.argmax(strength(said["tau_ext"][until], said["sigma_nm"][until])))
+    at = first + int(np.argmax(strength(said["tau_ext"][until], said["sigma_nm"][until])[:, last.joint]))
     sample = (made.q[at].tolist(), *(said[key][at].tolist() for key in ("tau_ext", "sigma_nm", "contact_sigma_nm")))
     place = _core.PlaceModel(arm.bundle).find(*sample, link=touch.link, dq=made.dq[at].tolist()).places[0]
     probability = [0.0] * arm.bundle.joints
@@ -491,7 +491,7 @@ def located(
     model: _core.PlaceModel, one: Recording, rows: slice, tau_ext: np.ndarray, sigma: np.ndarray
 ) -> list[float] | None:
     """Probability of each link; None: no estimate."""
-    by_row = strength(tau_ext[rows], sigma)
+    by_row = strength(tau_ext[rows], sigma)[:, 0]
     if not by_row.any():
         return None
     at = rows.start + int(np.argmax(by_row))

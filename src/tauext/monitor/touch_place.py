@@ -261,9 +261,14 @@ class PlaceChange(Change):
 
 
 def strength(tau_ext: np.ndarray, sigma_nm: np.ndarray) -> np.ndarray:
-    """Sum over the joints of (tau_ext / sigma)^2, (samples,); 0 where a torque or its standard error is unknown."""
+    """Sums of (tau_ext / sigma)^2 over each joint and those beyond it, (samples, joints).
+
+    The touch that loads a joint is on its link or beyond: of the joints before it, another sample may show more, as
+    they have errors of their own. 0 where a torque or its standard error is unknown.
+    """
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.nan_to_num(np.square(tau_ext / sigma_nm).sum(axis=1), nan=0.0, posinf=0.0)
+        ratios = np.square(tau_ext / sigma_nm)
+    return np.nan_to_num(ratios[:, ::-1].cumsum(axis=1)[:, ::-1], nan=0.0, posinf=0.0)
 
 
 Sample = tuple[list[float], list[float], list[float], list[float], list[float]]
@@ -299,10 +304,10 @@ def straight_touches(model: PlaceModel, sample: Sample, found: TouchPlaces) -> t
 
 
 def strongest_sample(
-    q: np.ndarray, dq: np.ndarray, tau_ext: np.ndarray, sigma_nm: np.ndarray, contact_sigma_nm: np.ndarray
+    q: np.ndarray, dq: np.ndarray, tau_ext: np.ndarray, sigma_nm: np.ndarray, contact_sigma_nm: np.ndarray, joint: int
 ) -> Sample:
-    """The sample with the largest strength(), from arrays (samples, joints)."""
-    row = int(np.argmax(strength(tau_ext, sigma_nm)))
+    """The sample with the largest strength() from the joint that raised the alarm on, from arrays (samples, joints)."""
+    row = int(np.argmax(strength(tau_ext, sigma_nm)[:, joint]))
     at, tau, sigma, contact, speed = (
         one[row].astype(float).tolist() for one in (q, tau_ext, sigma_nm, contact_sigma_nm, dq)
     )
@@ -312,8 +317,8 @@ def strongest_sample(
 class PlaceFinder:
     """Finds places of touches in the estimates, chunk after chunk; the result does not depend on the chunks.
 
-    The place is that of the sample since the alarm with the largest ratio of tau_ext, less an expected load, to its
-    standard error.
+    The place is that of the sample since the alarm with the largest strength(), of tau_ext less an expected load, from
+    the joint that raised the alarm on.
     """
 
     after_ns = 100_000_000
@@ -366,11 +371,12 @@ class PlaceFinder:
             fell, level = self._follow(int(t_ns[k]), int(alarm[k]), int(estimates["alarm_joint"][k]))
             if self._due_ns is None:
                 continue
-            if alarm[k] and by_row[k] > self._strength:
-                self._strength = float(by_row[k])
+            joint = max(self._joint, 0)
+            if alarm[k] and by_row[k, joint] > self._strength:
+                self._strength = float(by_row[k, joint])
                 at = slice(k, k + 1)
                 errors = estimates["sigma_nm"][at], estimates["contact_sigma_nm"][at]
-                self._sample = strongest_sample(q[at], dq[at], left[at], *errors)
+                self._sample = strongest_sample(q[at], dq[at], left[at], *errors, joint)
                 if self._at_frame is not None:
                     self._force = self._at_frame.find(q, dq, estimates, k)
             if found := self._judge(first_row + k, int(t_ns[k]), fell, level):

@@ -425,10 +425,12 @@ def alarm_rows(touch: Collision, recording: Recording, estimates: Estimates) -> 
 def placed(
     estimate: TouchEstimate, model: _core.PlaceModel, rows: np.ndarray, recording: Recording, estimates: Estimates
 ) -> TouchEstimate:
-    """The estimate with links and force of the row with the largest tau_ext over its standard error, if any."""
+    """The estimate with links and force of the strongest row, from the joint that is most over its limit on, if any."""
     assert estimates.sigma_nm is not None and estimates.contact_sigma_nm is not None
     signals = (recording.q, recording.dq, estimates.tau_ext, estimates.sigma_nm, estimates.contact_sigma_nm)
-    found = None if model.refused else find_places(model, strongest_sample(*(signal[rows] for signal in signals)))
+    joint = int(np.argmax(np.abs(estimates.tau_ext[rows[0]]) / estimates.limit_nm[rows[0]]))
+    sample = strongest_sample(*(signal[rows] for signal in signals), joint)
+    found = None if model.refused else find_places(model, sample)
     if found is None or found.best is None:
         return estimate
     return replace(

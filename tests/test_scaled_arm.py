@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from tauext.fit.torque_constants import (
     common_and_own,
     drawn_to_given,
     fit_torque_constants,
+    sliding_rows,
     unexplained,
 )
 from tauext.robot.inertial import inertial_parameters, with_inertial_parameters
@@ -151,6 +153,21 @@ def test_a_joint_without_current_has_no_constant_and_harms_no_other(motion):
     np.testing.assert_allclose(found.nm_per_unit[:3], CONSTANTS[:3], rtol=0.05)
 
 
+def test_what_friction_holds_of_an_arm_at_rest_is_no_part_of_its_constants():
+    moves = made_motion(arm(), 2.0, drive=Drive(pause_s=2.0)).recordings
+    held = [replace(r, tau=np.where(np.abs(r.dq) < 0.01, 0.5, 1.0) * r.tau / CONSTANTS) for r in moves]
+    assert np.mean([(np.abs(r.dq) < 0.01).mean() for r in held]) > 0.3
+    found = fit_torque_constants(arm(), held, ObserverConfig())
+    np.testing.assert_allclose(found.nm_per_unit, CONSTANTS, rtol=0.05)
+
+
+def test_a_joint_that_hardly_slides_has_its_rests_counted():
+    speed = np.zeros((1000, 3))
+    speed[:250, 0], speed[:249, 1] = 0.03, 0.03  # 10 s of rows, and less
+    counted = sliding_rows(SimpleNamespace(speed_rad_s=speed))
+    assert counted.sum(axis=0).tolist() == [250, 1000, 1000]
+
+
 def test_a_pendulums_constant_is_as_uncertain_as_its_mass_and_centre():
     link = planar_arm().links[0]
     pendulum = _core.Tree([link], [0, -9.81, 0])
@@ -217,7 +234,7 @@ def test_where_the_model_as_it_is_says_nothing_the_others_mean_is_where_to_begin
     model, Z = np.array([1.0, 2.0]), rng.normal(size=(3, 50, 2))
     r = np.stack([Z[0] @ model / 4.0, Z[1] @ model / -9.0, rng.normal(size=50)])
     columns = np.concatenate([Z, r[:, :, None]], axis=2)
-    np.testing.assert_allclose(as_it_is(columns.transpose(0, 2, 1) @ columns, model, 5.0), [4.0, -9.0, 6.0])
+    np.testing.assert_allclose(as_it_is(columns.transpose(0, 2, 1) @ columns, model, np.full(3, 5.0)), [4.0, -9.0, 6.0])
 
 
 def test_what_columns_leave_is_at_right_angles_to_those_beside_them():

@@ -88,7 +88,7 @@ class KinematicSample:
             unknown_constant=observer.unknown_constant,
         )
         self.pieces: list[tuple[Recording, np.ndarray]] = []
-        targets, values = [], []
+        targets, values, speeds = [], [], [np.empty((0, self.joints))]
         settings = _core.PriorSettings()
         settings.widths_rad = list(widths_rad)
         settings.terms = [term for group in own for term in group]
@@ -102,7 +102,9 @@ class KinematicSample:
                 continue
             self.pieces.append((thin, rows))
             targets.append(observation.residual[rows])
+            speeds.append(np.abs(thin.dq[rows]))
             values.append(_core.prior_regressors(tree, self.observer, settings, *thin.signals, rows))
+        self.speed_rad_s = np.concatenate(speeds)  # (rows, n)
         if not targets:
             self.rows = 0
             return

@@ -40,6 +40,11 @@ class ConstantsConfig:
     """Mass of what may hang at the last link beside it, as a share of the arm's; at so large a share of its reach."""
     independent_s: float = 1.0
     """Correlation time of the residual of friction, [s]: samples within it count as one."""
+    slides_rad_s: float = 0.02
+    """Rows of a joint count from this speed on: at rest, its friction takes any value up to the static one, which goes
+    with gravity where the arm stops, and keeps it for as long as it rests."""
+    least_sliding_s: float = 10.0
+    """A joint that slides for less than this has its rests counted, too."""
     known: float = 0.5
     """Above this relative standard error, a constant by the unchanged model has no information, not even its sign."""
     sign_tie: float = 1.0
@@ -117,50 +122,58 @@ def fit_scaled_arm(sample: KinematicSample, tree: _core.Tree, start: np.ndarray 
     n = sample.joints
     model, spread = np.array([inertial_parameters(link)[:ROTOR] for link in tree.links]).ravel(), spreads(tree)
     Z = sample.regressors(tree, range(n), range(len(PARAMETERS))).reshape(sample.rows, n, n, len(PARAMETERS))
-    parts = []
-    for j in range(n):
+    parts, counted = [], sliding_rows(sample)
+    for j, rows in enumerate(counted.T):
         beside = np.column_stack([sample.own[j], Z[:, j, j, ROTOR]])
-        left = unexplained(np.column_stack([Z[:, j, :, :ROTOR].reshape(sample.rows, -1), sample.target[:, j]]), beside)
+        columns = np.column_stack([Z[:, j, :, :ROTOR].reshape(sample.rows, -1), sample.target[:, j]])
+        left = unexplained(columns[rows], beside[rows])
         parts.append(left.T @ left)
-    count = max(1.0, sample.rows * ArmSearch.row_s / ConstantsConfig.independent_s)
+    count = np.maximum(1.0, counted.sum(axis=0) * ArmSearch.row_s / ConstantsConfig.independent_s)
     grams, begun = np.array(parts), start is None
     # A joint whose torque friction explains to the last bit, as one of 0 throughout, does not determine its constant.
-    grams[grams[:, -1, -1] <= ConstantsConfig.least_noise**2 * sample.rows] = 0.0
+    grams[grams[:, -1, -1] <= ConstantsConfig.least_noise**2 * counted.sum(axis=0)] = 0.0
     start = as_it_is(grams, model, count) if start is None else start
     evidence = Evidence(grams, model, spread, start, ConstantsConfig.unknown_to)
-    at, weights, cost = most_likely(evidence, sample.rows, count)
+    at, weights, cost = most_likely(evidence, counted.sum(axis=0), count)
     for k in np.flatnonzero(start < 0) if begun else ():
         turned = replace(evidence, start=np.where(np.arange(n) == k, -evidence.start, evidence.start))
-        other = most_likely(turned, sample.rows, count)
+        other = most_likely(turned, counted.sum(axis=0), count)
         if other[2] < cost + ConstantsConfig.sign_tie:
             evidence, (at, weights, cost) = turned, other
     covariance = evidence.errors(at, weights, file_covariance(tree)) + ConstantsConfig.least_own**2 * np.eye(n)
-    energy = np.maximum(grams[:, -1, -1], ConstantsConfig.least_noise**2 * sample.rows)
+    energy = np.maximum(grams[:, -1, -1], ConstantsConfig.least_noise**2 * counted.sum(axis=0))
     unseen = evidence.squares(at, weights) > (1 - ConstantsConfig.least_share) * energy
     covariance[unseen, :] = covariance[:, unseen] = 0.0
     covariance[unseen, unseen] = ConstantsConfig.unknown_to**2
     return ScaledArm(evidence.constants(at), covariance, float(np.exp(at[-1])))
 
 
-def most_likely(evidence: Evidence, rows: int, count: float) -> tuple[np.ndarray, np.ndarray, float]:
+def most_likely(evidence: Evidence, rows: np.ndarray, count: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """The unknowns, each joint's weight and the cost there, with the noise that is found along with them.
 
     Args:
-        count: independent samples.
+        rows: (n,) that count for each joint.
+        count: (n,) independent samples among them.
     """
     at, least = np.zeros(len(evidence.start) + 1), ConstantsConfig.least_noise**2 * rows
     weights = count / np.maximum(evidence.grams[:, -1, -1] / 10, least)  # most of r is explained in the end
     for _ in range(8):
         at = minimize(lambda x, w=weights: evidence.cost(x, w)[:2], at, jac=True, method="BFGS").x
         weights = count / np.maximum(evidence.squares(at, weights), least)
-    return at, weights, evidence.cost(at, weights)[0] - count / 2 * float(np.log(weights).sum())
+    return at, weights, evidence.cost(at, weights)[0] - float(count @ np.log(weights)) / 2
 
 
-def as_it_is(grams: np.ndarray, model: np.ndarray, count: float) -> np.ndarray:
+def sliding_rows(sample: KinematicSample) -> np.ndarray:
+    """(rows, n) bool: rows that count for a joint's constant, see ConstantsConfig.slides_rad_s."""
+    slides = sample.speed_rad_s > ConstantsConfig.slides_rad_s
+    return slides | (slides.sum(axis=0) * ArmSearch.row_s < ConstantsConfig.least_sliding_s)
+
+
+def as_it_is(grams: np.ndarray, model: np.ndarray, count: np.ndarray) -> np.ndarray:
     """Constants by the unchanged model, (n,); an undetermined joint gets the mean.
 
     Args:
-        count: independent samples.
+        count: (n,) independent samples.
     """
     of_model, together = model @ grams[:, :-1, :-1] @ model, grams[:, :-1, -1] @ model
     with np.errstate(divide="ignore", invalid="ignore"):

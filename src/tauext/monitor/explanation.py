@@ -171,7 +171,7 @@ def place_of_touch(flight: Flight, source: FlightSource) -> str:
     model = PlaceModel(source.bundle)
     if model.refused:
         return ""
-    sample = strongest_sample(q, dq, tau_ext, *signals, joint=event.alarm_joint)
+    sample = strongest_sample(event.alarm_joint, q, dq, tau_ext, *signals)
     change = PlaceChange.of(model, sample, row, int(event.t_ns), event.alarm.value, event.alarm_joint, 0.0)
     return "" if change is None else sentence(change, source.joints)
 

@@ -304,7 +304,7 @@ def straight_touches(model: PlaceModel, sample: Sample, found: TouchPlaces) -> t
 
 
 def strongest_sample(
-    q: np.ndarray, dq: np.ndarray, tau_ext: np.ndarray, sigma_nm: np.ndarray, contact_sigma_nm: np.ndarray, joint: int
+    joint: int, q: np.ndarray, dq: np.ndarray, tau_ext: np.ndarray, sigma_nm: np.ndarray, contact_sigma_nm: np.ndarray
 ) -> Sample:
     """The sample with the largest strength() from the joint that raised the alarm on, from arrays (samples, joints)."""
     row = int(np.argmax(strength(tau_ext, sigma_nm)[:, joint]))
@@ -376,7 +376,7 @@ class PlaceFinder:
                 self._strength = float(by_row[k, joint])
                 at = slice(k, k + 1)
                 errors = estimates["sigma_nm"][at], estimates["contact_sigma_nm"][at]
-                self._sample = strongest_sample(q[at], dq[at], left[at], *errors, joint)
+                self._sample = strongest_sample(joint, q[at], dq[at], left[at], *errors)
                 if self._at_frame is not None:
                     self._force = self._at_frame.find(q, dq, estimates, k)
             if found := self._judge(first_row + k, int(t_ns[k]), fell, level):

@@ -429,7 +429,7 @@ def placed(
     assert estimates.sigma_nm is not None and estimates.contact_sigma_nm is not None
     signals = (recording.q, recording.dq, estimates.tau_ext, estimates.sigma_nm, estimates.contact_sigma_nm)
     joint = int(np.argmax(np.abs(estimates.tau_ext[rows[0]]) / estimates.limit_nm[rows[0]]))
-    sample = strongest_sample(*(signal[rows] for signal in signals), joint=joint)
+    sample = strongest_sample(joint, *(signal[rows] for signal in signals))
     found = None if model.refused else find_places(model, sample)
     if found is None or found.best is None:
         return estimate

@@ -32,6 +32,9 @@ class ArmSearch:
     """Ridge of all fits of candidates."""
     least_rows: int = 250
     """Fewest rows, 10 s of motion: an arm has some seventy unknowns."""
+    moves_rad_s: float = 0.02
+    """Rows count where a joint moves faster than this, if these are enough: of an arm at rest, friction holds any part
+    of gravity."""
     beam: int = 8
     """Candidates that are kept from joint to joint ..."""
     refined: int = 3
@@ -57,7 +60,7 @@ class ArmSearch:
 
 
 class KinematicSample:
-    """Up to two minutes of motion at the network's rate, and the equations for comparing candidates.
+    """Up to two minutes at the network's rate, where the arm moves, and the equations for comparing candidates.
 
     Args:
         tree: the estimated model: empty, with the gravity of its base.
@@ -94,14 +97,20 @@ class KinematicSample:
         settings.terms = [term for group in own for term in group]
         settings.weights = [0.0] * (self.joints * len(settings.terms))
         step = max(1, round(config.row_s / (self.observer.sample_period_ns * 1e-9)))
+        observed = []
         for piece in pieces(recordings, config.sample_s, config.piece_s):
             thin = thinned(piece, observer.network_stride)
             observation = _core.observe(tree, self.observer, *thin.signals)
             rows = np.flatnonzero(observation.warm.astype(bool))[::step].astype(np.int64)
+            observed.append((thin, observation.residual, rows))
+        moving = [rows[(np.abs(thin.dq[rows]) > config.moves_rad_s).any(axis=1)] for thin, _, rows in observed]
+        enough = sum(map(len, moving)) >= config.least_rows
+        for (thin, residual, all_rows), moving_rows in zip(observed, moving, strict=True):
+            rows = moving_rows if enough else all_rows
             if len(rows) < FOLDS:
                 continue
             self.pieces.append((thin, rows))
-            targets.append(observation.residual[rows])
+            targets.append(residual[rows])
             speeds.append(np.abs(thin.dq[rows]))
             values.append(_core.prior_regressors(tree, self.observer, settings, *thin.signals, rows))
         self.speed_rad_s = np.concatenate(speeds)  # (rows, n)

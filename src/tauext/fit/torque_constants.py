@@ -40,11 +40,8 @@ class ConstantsConfig:
     """Mass of what may hang at the last link beside it, as a share of the arm's; at so large a share of its reach."""
     independent_s: float = 1.0
     """Correlation time of the residual of friction, [s]: samples within it count as one."""
-    slides_rad_s: float = 0.02
-    """Rows of a joint count from this speed on: at rest, its friction takes any value up to the static one, which goes
-    with gravity where the arm stops, and keeps it for as long as it rests."""
     least_sliding_s: float = 10.0
-    """A joint that slides for less than this has its rests counted, too."""
+    """A joint that moves faster than ArmSearch.moves_rad_s for less than this has its rests counted, too."""
     known: float = 0.5
     """Above this relative standard error, a constant by the unchanged model has no information, not even its sign."""
     sign_tie: float = 1.0
@@ -164,8 +161,8 @@ def most_likely(evidence: Evidence, rows: np.ndarray, count: np.ndarray) -> tupl
 
 
 def sliding_rows(sample: KinematicSample) -> np.ndarray:
-    """(rows, n) bool: rows that count for a joint's constant, see ConstantsConfig.slides_rad_s."""
-    slides = sample.speed_rad_s > ConstantsConfig.slides_rad_s
+    """(rows, n) bool: rows that count for a joint's constant, since it moves; see ArmSearch.moves_rad_s."""
+    slides = sample.speed_rad_s > ArmSearch.moves_rad_s
     return slides | (slides.sum(axis=0) * ArmSearch.row_s < ConstantsConfig.least_sliding_s)
 
 
@@ -501,7 +498,10 @@ def _relative_constants(
     candidate = find_kinematics(sample, one_unit=False)
     fitted = Fitted.of(sample, candidate.kinematics, candidate.scales)
     modelled = fitted.columns @ fitted.parameters.ravel()
-    found = [_fit(modelled[:, j], sample.target[:, j], sample.own[j]) for j in range(len(joints))]
+    found = [
+        _fit(modelled[rows, j], sample.target[rows, j], sample.own[j][rows])
+        for j, rows in enumerate(sliding_rows(sample).T)
+    ]
     constants, errors, determined = (np.array([one[k] for one in found]) for k in range(3))
     if given:
         return replace(drawn_to_given(constants, errors), kinematics=candidate.kinematics)

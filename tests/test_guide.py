@@ -16,7 +16,7 @@ from tauext.data.description import parse_arm
 ROOT = Path(__file__).parent.parent
 DATA = (ROOT / "docs" / "data.md").read_text()
 TRAINING = (ROOT / "docs" / "training.md").read_text()
-GUIDE = DATA + TRAINING[: TRAINING.index("\n## Limits\n")]
+GUIDE = DATA + TRAINING[: TRAINING.index("\n## Thresholds\n")]
 SHARED = Path(os.environ.get("TAUEXT_SHARED_DATA", ROOT.parent / "shared" / "data"))
 FOUND_FAULTS = "check --data first"  # the one command that is to end with status 1
 

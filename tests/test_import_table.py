@@ -197,8 +197,8 @@ PUBLIC = {
 
 
 def table_of_layers() -> dict[str, tuple[bool, set[str]]]:
-    """Layers in the order of the table in structure.md: whether one is optional, and what it may include."""
-    text = (SOURCE.parents[1] / "docs" / "reference" / "structure.md").read_text().partition("## Layers of the core")[2]
+    """Layers in the order of the table in architecture.md: whether one is optional, and what it may include."""
+    text = (SOURCE.parents[1] / "docs" / "architecture.md").read_text().partition("## Layers of the core")[2]
     rows = [line.split("|") for line in text.partition("\n## ")[0].splitlines() if line.startswith("| `")]
     return {row[1].split("`")[1]: ("optional" in row[1], set(re.findall(r"`(.*?)`", row[4]))) for row in rows}
 

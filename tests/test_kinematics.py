@@ -118,6 +118,14 @@ def test_pieces_are_spread_over_all_recordings():
     assert pieces(long, 1000.0, 10.0) == long
 
 
+def test_of_an_arm_that_rests_for_most_of_the_time_the_pieces_that_move_are_taken():
+    (moves,) = made_motion(arm(), 1.0, pieces=1).recordings
+    rests = [replace(moves, name=f"rest {k}", dq=0 * moves.dq, q=0 * moves.q) for k in range(9)]
+    cut = pieces([*rests[:6], moves, *rests[6:]], 30.0, 10.0)
+    assert [piece.name for piece in cut] == [moves.name] * 3
+    assert len(pieces(rests, 30.0, 10.0)) == 3
+
+
 def test_thinned_torque_is_the_mean_of_what_was_left_out():
     whole = made_motion(arm(), 0.2, rate_hz=500.0, pieces=1).recordings[0]
     thin = thinned(whole, 5)

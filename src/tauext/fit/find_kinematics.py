@@ -30,6 +30,8 @@ class ArmSearch:
     """Time between rows, [s]: r changes little within it, as 1/K0 is 0.05 s."""
     ridge: float = 1e-4
     """Ridge of all fits of candidates."""
+    least_moving: float = 0.1
+    """Share of a piece in which a joint moves: of an arm that rests for most of the time, these pieces are taken."""
     least_rows: int = 250
     """Fewest rows, 10 s of motion: an arm has some seventy unknowns."""
     moves_rad_s: float = 0.02
@@ -163,11 +165,13 @@ class KinematicSample:
 
 
 def pieces(recordings: Sequence[Recording], most_s: float, piece_s: float) -> list[Recording]:
-    """All recordings, or as many pieces of this length, spread evenly over them, as make up most_s."""
+    """All recordings, or as many pieces of this length, spread evenly over those that move, as make up most_s."""
     whole_s = sum(recording.duration_s for recording in recordings)
     if whole_s <= most_s:
         return list(recordings)
-    cut = all_pieces(recordings, piece_s)
+    whole = all_pieces(recordings, piece_s)
+    moves = [(np.abs(piece.dq) > ArmSearch.moves_rad_s).any(axis=1).mean() >= ArmSearch.least_moving for piece in whole]
+    cut = [piece for piece, moving in zip(whole, moves, strict=True) if moving] or whole
     wanted = max(1, int(most_s // piece_s))
     return [cut[k] for k in np.unique(np.linspace(0, len(cut) - 1, wanted).astype(int))]
 

@@ -59,12 +59,12 @@ def table_1(results: dict[str, Any]) -> list[str]:
 
 
 def delays(results: dict[str, Any], joint: int | None = None) -> list[str]:
-    """Delays against the sensor at the same limit: of the ten collisions, and of all that exceed it in both.
+    """Delays against the sensor at the same threshold: of the ten collisions, and of all that exceed it in both.
 
-    joint: this joint's own; without it, those of the first joint that exceeds its limit.
+    joint: this joint's own; without it, those of the first joint that exceeds its threshold.
     """
     columns = ["model", "recipe", "each of the ten, ms", "median of the ten, ms"]
-    columns += ["all: both over the limit", "median, ms", "5 % to 95 %, ms", "largest, ms"]
+    columns += ["all: both over the threshold", "median, ms", "5 % to 95 %, ms", "largest, ms"]
     rows = []
     for bundle in by_recipe(results):
         delay_ms = {verdict["id"]: delay_of(verdict, joint) for verdict in bundle["collisions"]}
@@ -81,7 +81,7 @@ def delays(results: dict[str, Any], joint: int | None = None) -> list[str]:
 
 
 def delay_of(verdict: dict[str, Any], joint: int | None) -> float | None:
-    """Delay in ms; None where estimate or sensor does not exceed the limit."""
+    """Delay in ms; None where estimate or sensor does not exceed the threshold."""
     delay_s = verdict["delay_against_sensor_s"]
     if joint is not None:
         delay_s = verdict["joint_delays_against_sensor_s"][joint]
@@ -99,8 +99,8 @@ def everything(results: dict[str, Any]) -> list[str]:
     columns = ["model", "recipe", "steps", "minutes of training", "L1, N m", "L2, N m", "RMSE near stiction, N m"]
     columns += [
         "RMSE sliding, N m",
-        "limit sliding, N m",
-        "limit near stiction, N m",
+        "threshold sliding, N m",
+        "threshold near stiction, N m",
         f"false alarms (collisions) in {hours:.3f} h",
     ]
     columns += ["of the ten", "strong collisions latched", "latched of 200"]

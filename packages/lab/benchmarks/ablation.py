@@ -47,7 +47,7 @@ GAINS_PER_S = (20.0, 50.0)
 """The paper's gain, which recipe prior also chooses on this arm, and the next one that it chooses from."""
 ALARM = AlarmConfig()
 MARGINS = FreeMotionConfig()
-LIMITS = ("largest validation error", "constant", "following the error")
+LIMITS = ("largest validation error", "constant", "adaptive")
 ONE_AN_HOUR = 1.0
 SEEDED = ("paper", "dense", "tauext")
 """Estimators with a network that are trained once a seed."""
@@ -175,7 +175,7 @@ def judged_bundles(path: Path, data: Path, split: Split) -> dict[str, _core.Bund
     for kind in LIMITS:
         bundle = found[kind] = load_bundle(path)
         bundle.error_scale = _core.ErrorScaleSettings()
-        if kind == "following the error":
+        if kind == "adaptive":
             fit_error_scale(bundle, collect_rows(bundle, validation, 1, MARGINS))
         if kind == "largest validation error":
             set_limits(bundle, paper_limits(bundle, validation, 1, MARGINS), replace(ALARM, collision_hold_s=0.0))
@@ -257,8 +257,8 @@ def detected(counts: list[int], of: int) -> str:
 
 
 COLUMNS = (
-    "estimator | limits | L1, N m | limits sliding, N m | false alarms (95 % of the rate) | detected of 500 at own "
-    "limits (95 %) | detected at one measured false alarm an hour (95 %)"
+    "estimator | threshold | L1, N m | sliding, N m | false alarms (95 % of the rate) | detected of 500 at its own "
+    "threshold (95 %) | detected at one measured false alarm an hour (95 %)"
 )
 
 

@@ -209,8 +209,8 @@ def authors_section(segments: list[Segment], dataset: Dataset, data: Path, out: 
 
 def recipes_section(segments: list[Segment], dataset: Dataset, out: Path) -> tuple[list[str], dict[str, list]]:
     lines = head(
-        "recipe | L1, N m | L2, N m | largest, N m | limits sliding, N m | collisions detected (95 %) | "
-        "false alarms (95 %) | promised"
+        "recipe | L1, N m | L2, N m | largest, N m | threshold sliding, N m | collisions detected (95 %) | "
+        "false alarms (95 %) | proved"
     )
     early, kept, rows = None, {}, []
     for case in ("exact", "none"):

@@ -3,7 +3,7 @@
     python packages/lab/benchmarks/cold.py MODELS OUT [--arms rig ur5 ...] [--limits 1 1.5]
 
 MODELS: folder of ur5_robot.urdf, panda.urdf and kinova.urdf. Each arm is trained warm (recipe prior) and then works
-with other friction, with the same motion and the same contacts in every row. rig: the paper's rig, four minutes of
+with other friction, with the same motion and the same contacts in every row. rig: the simulated rig, four minutes of
 training; other names: arms of unseen, twelve minutes of training. OUT/ARM keeps recordings and bundle, which a later
 run uses again: run the script in two checkouts to compare them. OUT/cold.md gets the table.
 """

@@ -106,7 +106,8 @@ def page(found: Measures) -> list[str]:
         for key, paper in (("l1", L1_NM), ("l2", L2_NM), ("mse", MSE_NM2)):
             cells += [mean_and_range(stacked[key]), joined(paper[case], ".3f", "/")]
         lines.append(table_row(*cells, mean_and_range(stacked["l1_1khz"])))
-    columns = "model | seed | RMSE near stiction, N m | sliding, N m | threshold sliding, N m | false alarms | detected by one sample"
+    columns = "model | seed | RMSE near stiction, N m | sliding, N m | threshold sliding, N m"
+    columns += " | false alarms | detected by one sample"
     lines += ["", *head(columns)]
     for (case, seed), one in found.items():
         false, detected, of = one["counts"]

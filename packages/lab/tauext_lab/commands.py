@@ -41,7 +41,7 @@ def simulate(
     encoder_bits: int = 17,
     friction: float = 1.0,
 ) -> None:
-    """Simulate the paper's rig: free motion and collisions, recorded at 1 kHz.
+    """Simulate the rig, a model of the paper's arm: free motion and collisions, recorded at 1 kHz.
 
     Args:
         out: dataset folder to write: recordings, robot.xml, split.json.

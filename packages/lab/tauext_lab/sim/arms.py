@@ -101,7 +101,7 @@ def seven_axis_arm() -> GearedArm:
 
 
 def _geared(coulomb_nm: float) -> FrictionConfig:
-    """Friction of a geared joint in proportion to its Coulomb part, as that of the paper's rig is."""
+    """Friction of a geared joint in proportion to its Coulomb part, as that of the rig is."""
     return FrictionConfig(
         coulomb_nm=coulomb_nm,
         static_nm=1.25 * coulomb_nm,

@@ -118,14 +118,16 @@ def growth_findings(x: Examination) -> Iterator[Finding]:
 
 def step_findings(x: Examination) -> Iterator[Finding]:
     """Findings of torques that are off in a tenth of the time or more by far more than in the rest of it."""
-    rows, (starts, moves) = x.rows, half_seconds(x.rows)
+    rows, (starts, _) = x.rows, half_seconds(x.rows)
+    # of a joint at rest, friction holds a part of the torque, and another one after each stop
+    moves = np.maximum.reduceat(np.abs(rows.dq) > MOVING_RAD_S, starts)
     # friction at reversals reaches 5.3 usual errors with a model; without one the usual error is that of gravity, and
     # friction reaches 2.7
     times = 6.0 if rows.has_model else 4.0
     for j, fit in enumerate(x.fits):
         predicted = closest_fit(rows, j, fit.predicted) if rows.has_model else fit.predicted
         error = rows.tau[:, j] - predicted
-        largest = np.maximum.reduceat(np.abs(error - np.median(error)), starts)[moves]
+        largest = np.maximum.reduceat(np.abs(error - np.median(error)), starts)[moves[:, j]]
         if len(largest) < 120:
             continue
         usual, step = np.percentile(largest, (50, 90))

@@ -10,7 +10,9 @@ ROOT = Path(__file__).parent.parent
 DATA = ROOT.parent / "shared" / "data" / "mocca"
 sys.path.insert(0, str(ROOT / "packages/lab/benchmarks"))
 import mocca  # noqa: E402
-from mocca_recording import read_segments  # noqa: E402
+from tauext_lab.bench.mocca_recording import read_segments  # noqa: E402
+
+from tauext.errors import ConfigError  # noqa: E402
 
 present = pytest.mark.skipif(not DATA.is_dir(), reason="the recording is not beside the repository")
 
@@ -68,7 +70,7 @@ def test_recipe_prior_detects_the_collisions_of_left_out_segments(
 def test_a_folder_without_the_recording_is_refused_in_one_line(tmp_path, made, words):
     for name in made:
         (tmp_path / name).write_text("segment,t_s\n0,0\n")
-    with pytest.raises(SystemExit, match=words):
+    with pytest.raises(ConfigError, match=words):
         read_segments(tmp_path)
 
 

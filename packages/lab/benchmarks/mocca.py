@@ -2,7 +2,7 @@
 
     python packages/lab/benchmarks/mocca.py DATA OUT [--keep]
 
-DATA is the folder of collisions.csv and no_model_network/ (mocca_recording.py). OUT gets bundles and a
+DATA is the folder of collisions.csv and no_model_network/ (tauext_lab/bench/mocca_recording.py). OUT gets bundles and a
 dataset of the segments; --keep writes docs/results/mocca. A recipe is trained without one segment and tested on it, for
 each segment in turn. Nothing of DATA is written into the repository but figures and numbers.
 """
@@ -22,7 +22,7 @@ from matplotlib import pyplot as plt
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 
 from common import ROOT, arguments, error_cells, estimates, head, joined, runs, share_interval, table_row, write_page
-from mocca_recording import MARGINS, ONSETS_S, RATE_HZ, Segment, nominal_tree, read_segments, recording
+from tauext_lab.bench.mocca_recording import MARGINS, ONSETS_S, RATE_HZ, Segment, nominal_tree, read_segments, recording
 from tauext_lab.own_network import load_network
 from tauext_lab.report.style import CONTACT, DPI, OBSERVER, OBSERVER_WIDTH, RC, WIDTH_IN
 

@@ -2,7 +2,8 @@
 
     python packages/lab/benchmarks/rig_fit.py DATA [BUNDLE.tauext ...]
 
-DATA is the folder of collisions.csv (mocca_recording.py). docs/paper-rig.md holds the tables that it prints.
+DATA is the folder of collisions.csv (tauext_lab/bench/mocca_recording.py). docs/paper-rig.md holds the tables that it
+prints.
 
 Motor torque less the nominal model is friction plus the error of its gravity. Friction is the rig's own law (LuGre
 bristles, Coulomb and static part, viscous part, growth with the load on the gear). Both pass the recorded observer's
@@ -25,8 +26,15 @@ sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 
 from common import COLLISION, arguments, error_cells, estimates, head, joined, table_row
 from mocca import Tested
-from mocca_recording import RATE_HZ, RECORDED_GAIN_PER_S, Segment, nominal_tree, read_segments, recording
 from scipy.optimize import least_squares
+from tauext_lab.bench.mocca_recording import (
+    RATE_HZ,
+    RECORDED_GAIN_PER_S,
+    Segment,
+    nominal_tree,
+    read_segments,
+    recording,
+)
 from tauext_lab.sim.config import PAPER_FRICTION, RigConfig
 from tauext_lab.sim.rig import low_pass
 

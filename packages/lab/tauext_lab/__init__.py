@@ -23,6 +23,11 @@ EVALUATE = Command(
 REPORT = Command(
     "draw an HTML page of results, one flight or commissioned arms", "tauext_lab.commands:report", title="Results"
 )
+BENCH = Command(
+    "compare methods, also your own, at equal false alarms on recordings with contacts",
+    "tauext_lab.commands:bench",
+    title="Results",
+)
 REPRODUCE = Command(
     "repeat the paper's experiment: simulate, train, evaluate and report",
     "tauext_lab.reproduce:reproduce",

@@ -1,4 +1,4 @@
-"""`tauext simulate`, `evaluate` and `report`: datasets of the rig, results of bundles, and pages of them."""
+"""`tauext simulate`, `evaluate`, `report` and `bench`: datasets of the rig, results of methods, and pages of them."""
 
 from __future__ import annotations
 
@@ -243,3 +243,46 @@ def report_flight(flight: Path, out: Path, page_mb: float) -> None:
     if page.name in there:
         print(f"tauext: {page} was there already and is replaced", file=sys.stderr)
     print(page)
+
+
+# --- `tauext bench`: methods of anybody's on tracks.
+
+
+def bench(
+    track: tuple[Path, ...],
+    method: tuple[str, ...],
+    out: Path,
+    data: Path | None = None,
+    false_alarms_per_hour: float = 1.0,
+    case: CaseName | None = None,
+    seed: int = 0,
+    threads: int = 0,
+) -> None:
+    """Compare methods of collision detection on tracks, at equal measured false alarms an hour.
+
+    Writes OUT/bench.json and the page OUT/bench.html. What is finished is kept: the same command continues after an
+    interruption. A track or method that cannot be run is named with its reason, and the others are run.
+
+    Args:
+        track: folders with a track.toml, or names of the package's tracks: lugre, maxwell-slip and belt (simulated),
+            mocca, panda-touches, ur3, so101-stalls.
+        method: recipes and methods of `tauext evaluate --baselines`, those with a network also in fewer steps
+            (dense@10000); FILE.py:FUNCTION of a function fit(recordings) that returns an estimator of a recording's
+            tau_ext; or estimates in a CSV or Parquet file.
+        out: folder to write; results in it are continued.
+        data: folder that holds the tracks' files at any depth; default: they are fetched by git.
+        false_alarms_per_hour: measured rate of false alarms at which methods are compared.
+        case: model case of recipes, as in train.
+        seed: seed of trainings.
+        threads: threads that train and estimate; 0: one a core. The result does not depend on it.
+    """
+    from tauext_lab.bench.run import Settings, run_bench
+
+    require_seed(seed)
+    require_threads(threads)
+    require(0 <= false_alarms_per_hour <= 120, "false_alarms_per_hour", false_alarms_per_hour, "0 to 120")
+    expect_folder(out)
+    print_replaced(out / "bench.html")
+    settings = Settings(false_alarms_per_hour, case, seed, threads)
+    run_bench(track, method, out, data, settings, Terminal(), command_line())
+    print(out / "bench.html")

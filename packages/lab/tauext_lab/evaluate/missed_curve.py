@@ -14,7 +14,7 @@ from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.fit.tail import rate_interval
 from tauext.train.held_peaks import count_episodes, held_minimum, hold_lengths, peak_indices
-from tauext_lab.evaluate.collisions import GRACE_S, Collision
+from tauext_lab.evaluate.collisions import GRACE_S, Collision, first_rise
 from tauext_lab.evaluate.free_motion import FALSE_ALARM_QUIET_S
 from tauext_lab.evaluate.results import CurvePoint
 
@@ -97,9 +97,16 @@ class Scored:
         return count_episodes(np.where(self.free, self.score, np.nan), self.t_ns, factor)
 
     def delays_s(self, factor: float) -> list[float]:
-        """Time from the begin of each contact that is found to its alarm, [s]."""
-        over = [(begin, np.flatnonzero(self.score[begin:end] > factor)) for begin, end in self.contacts]
-        return [float(self.t_ns[begin + at[0]] - self.t_ns[begin]) * 1e-9 for begin, at in over if len(at)]
+        """Time from the begin of each contact that is found to its alarm, [s]; an alarm that was already on finds
+        nothing."""
+        found = [(begin, self.rise(begin, end, factor)) for begin, end in self.contacts]
+        return [float(self.t_ns[at] - self.t_ns[begin]) * 1e-9 for begin, at in found if at is not None]
+
+    def rise(self, begin: int, end: int, factor: float) -> int | None:
+        """First sample from `begin` to before `end` at which an alarm rises with limits so many times as high."""
+        over = self.score[max(begin - 1, 0) : end] > factor
+        first = first_rise(over[1:], bool(over[0])) if begin > 0 else first_rise(over, False)
+        return None if first is None else begin + first
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from tauext.files.preflight import expect_folder, span
 from tauext.files.provenance import VERSION, write_json
 from tauext_lab.sim.config import RigConfig
 from tauext_lab.sim.contacts import contact_torque, draw_pads, draw_pulses, pulse_torque
+from tauext_lab.sim.other_friction import OtherRig, roll_out_other
 from tauext_lab.sim.rig import Kind, Truth, arm_xml, build_scene, draw_motion, joint_names, measure, roll_out
 
 # --- One recording of the virtual rig, from its seed to its measured signals.
@@ -77,16 +78,22 @@ def simulate_motion(
     if kind == "pulses":
         pulses = np.zeros((len(q_des), 3 * len(config.links)))
         pulses[settle:] = draw_pulses(config, q_des[settle:], rng)
-        truth = roll_out(config, build_scene(config, kind), q_des[0], np.hstack([drives, pulses])).after(settle)
+        truth = _rolled(config, kind, q_des[0], np.hstack([drives, pulses])).after(settle)
         return truth, *pulse_torque(config, truth.q, pulses[settle:])
-    free = roll_out(config, build_scene(config, "free"), q_des[0], drives)
+    free = _rolled(config, "free", q_des[0], drives)
     if kind == "free":
         truth = free.after(settle)
         return truth, np.zeros_like(truth.q), np.zeros_like(truth.q)
     pads = draw_pads(config, free.q, settle, rng)
     start = np.concatenate([q_des[0], pads[0, ::2]])
-    truth = roll_out(config, build_scene(config, kind), start, np.hstack([drives, pads])).after(settle)
+    truth = _rolled(config, kind, start, np.hstack([drives, pads])).after(settle)
     return truth, *contact_torque(config, truth.q, truth.touch)
+
+
+def _rolled(config: RigConfig, kind: Kind, start: np.ndarray, controls: np.ndarray) -> Truth:
+    if isinstance(config, OtherRig):
+        return roll_out_other(config, kind, start, controls)
+    return roll_out(config, build_scene(config, kind), start, controls)
 
 
 # --- A dataset folder from the virtual rig: recordings, robot file, split and what made them.

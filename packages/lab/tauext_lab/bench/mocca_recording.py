@@ -10,13 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from tauext_lab.sim.config import RigConfig
-from tauext_lab.sim.rig import arm_xml, joint_names
 
 from tauext import _core
 from tauext.config import PAPER_CASES, FreeMotionConfig
 from tauext.data.recording import Recording
+from tauext.errors import ConfigError
 from tauext.robot.model_case import estimated_model
+from tauext_lab.sim.config import RigConfig
+from tauext_lab.sim.rig import arm_xml, joint_names
 
 RECORDED_GAIN_PER_S = 5.0
 """Gain K0 of the recorded observer: the authors' no-model network fits the torque that follows from it, no other."""
@@ -56,15 +57,16 @@ def read_segments(data: Path) -> list[Segment]:
     """The segments of DATA/collisions.csv of at least LEAST_S.
 
     Raises:
-        SystemExit: there is no such file, or it lacks a column.
+        ConfigError: there is no such file, or it lacks a column.
     """
     path = data / "collisions.csv"
     if not path.is_file():
-        raise SystemExit(f"{path}: is no file; DATA is the folder that holds it")
+        raise ConfigError(f"{path}: is no file; DATA is the folder that holds it")
     rows = np.genfromtxt(path, delimiter=",", names=True)
+    names = rows.dtype.names or ()
     wanted = ("segment", "t_s", "q1", "q2", "dq1", "dq2", "r1", "r2", "lstm1", "lstm2", "near_contact")
-    if missing := [name for name in wanted if name not in (rows.dtype.names or ())]:
-        raise SystemExit(f"{path}: has no column {', '.join(missing)}; its columns are {', '.join(rows.dtype.names)}")
+    if missing := [name for name in wanted if name not in names]:
+        raise ConfigError(f"{path}: has no column {', '.join(missing)}; its columns are {', '.join(names)}")
     pairs = {name: np.column_stack([rows[f"{name}1"], rows[f"{name}2"]]) for name in ("q", "dq", "r", "lstm")}
     found = []
     for number in np.unique(rows["segment"]).astype(int):

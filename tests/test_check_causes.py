@@ -8,15 +8,19 @@ from itertools import count
 
 import numpy as np
 import pytest
-from check_cases import pressed
+from check_cases import CURRENT, pressed, refreshed
 from made_arms import _serial, six_axis_tree, urdf
 from made_recordings import Drive, made_motion
 
+from tauext.check.before_training import check_training
 from tauext.check.checks import EXPLAINED, causes_only
 from tauext.check.examine import examine, quick_checks
 from tauext.check.finding import CODES, Finding
+from tauext.check.motion import stretches
 from tauext.check.robot_file import possible_inertia
+from tauext.check.torque_changes import contacts_at_rest
 from tauext.data.servo import AMPERES
+from tauext.progress import Silent
 from tauext.robot.read import CarriedBody, load_tree
 
 
@@ -102,6 +106,82 @@ def test_presses_are_found_in_currents_of_unknown_constants(arm):
     touched = [in_amperes(one, k, pressed(one, k)) for k, one in enumerate(recordings)]
     assert "contact-in-free-motion" not in codes(free, robot)
     assert "contact-in-free-motion" in codes(touched, robot)
+
+
+class Heard(Silent):
+    def __init__(self):
+        self.sentences = []
+
+    def say(self, sentence):
+        self.sentences.append(sentence)
+
+
+RESTING = {
+    "moves": Drive(pause_s=3.0),
+    "currents": replace(CURRENT, pause_s=3.0),
+    "trapezoids": Drive(profile="trapezoid", presliding_rad=1e-3, noise=0.03, pause_s=3.0),
+}
+
+
+def at_rest(recording, settled_s: float) -> np.ndarray:
+    """Whether all joints have rested for so long, (samples,)."""
+    moves, time_s = (np.abs(recording.dq) > 0.02).any(axis=1), recording.time_s
+    return ~moves & (time_s - np.maximum.accumulate(np.where(moves, time_s, -np.inf)) > settled_s)
+
+
+def held_by_brakes(r, k):
+    """Drives are off 0.8 s after each motion."""
+    off, noise = at_rest(r, 0.8), np.random.default_rng(k).standard_normal(r.tau.shape)
+    return {"tau": np.where(off[:, None], 0.02 * r.tau.std(axis=0) * noise, r.tau)}
+
+
+def wound_down(r, k):
+    """An integral action forgets the friction of the motion within a second."""
+    moves = (np.abs(r.dq) > 0.02).any(axis=1)
+    since_s = r.time_s - np.maximum.accumulate(np.where(moves, r.time_s, r.time_s[0]))
+    return {"tau": r.tau + (~moves * np.exp(-since_s))[:, None] * 0.5 * r.tau.std(axis=0)}
+
+
+def swung_out(r, k):
+    """Vibration of 3 Hz after each stop."""
+    moves = (np.abs(r.dq) > 0.02).any(axis=1)
+    since_s = r.time_s - np.maximum.accumulate(np.where(moves, r.time_s, r.time_s[0]))
+    swing = ~moves * np.exp(-since_s / 0.4) * np.sin(2 * np.pi * 3 * since_s)
+    return {"tau": r.tau + swing[:, None] * 0.5 * r.tau.std(axis=0)}
+
+
+def coarse(r, k):
+    step = r.tau.std(axis=0) / 5
+    return {"tau": np.round(r.tau / step) * step}
+
+
+@pytest.mark.parametrize("drive", RESTING)
+def test_presses_are_found_at_rest_without_a_model(tmp_path, drive):
+    """Nothing else changes the torque there: no brake, vibration, integral action, step or slow refresh."""
+    made = made_motion(six_axis_tree(tmp_path), 4.0, pieces=3, drive=RESTING[drive]).recordings
+
+    def found(change) -> list[Finding]:
+        changed = [replace(one, **change(one, k)) for k, one in enumerate(made)]
+        return contacts_at_rest(stretches(changed), changed)
+
+    (one,) = found(pressed)
+    assert re.match(r"2\d changes of the torque in \d\d s in which all joints rest, .* of 'free-\d'", one.evidence)
+    assert found(lambda r, k: coarse(replace(r, **pressed(r, k)), k))
+    for free in (lambda r, k: {}, held_by_brakes, wound_down, swung_out, coarse, lambda r, k: refreshed(r, "tau", 8)):
+        assert not found(free), free
+    labelled = [replace(one, **pressed(one, k), contact=np.ones(one.samples, np.int8)) for k, one in enumerate(made)]
+    assert not contacts_at_rest(stretches(labelled), labelled)
+
+
+def test_the_check_without_a_model_names_presses_and_the_training_what_it_misses(tmp_path, monkeypatch):
+    made = made_motion(six_axis_tree(tmp_path), 3.0, pieces=3, drive=RESTING["trapezoids"]).recordings
+    touched = [replace(one, **pressed(one, k)) for k, one in enumerate(made)]
+    assert "contact-in-free-motion" not in codes(made, None)
+    assert "contact-in-free-motion" in codes(touched, None)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    heard = Heard()
+    assert "contact-in-free-motion" in {one.code for one in check_training(touched, None, None, False, 1, heard)}
+    assert "no robot model: contacts without a label are only found where all joints rest" in heard.sentences
 
 
 def test_the_table_of_causes_hides_what_they_explain():

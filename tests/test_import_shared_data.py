@@ -6,12 +6,15 @@ They lie in the folder that TAUEXT_SHARED_DATA names, or in ../shared/data besid
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from made_recordings import JOINT_STATES
 
+from tauext.check.motion import stretches
+from tauext.check.torque_changes import contacts_at_rest
 from tauext.data.assemble import assemble
 from tauext.data.description import parse_arm
 from tauext.data.importers.open_raw import open_raw
@@ -170,3 +173,14 @@ def test_a_kuka_run_comes_to_radians_and_the_joint_side(run):
     slope = np.gradient(recording.q, recording.time_s, axis=0)
     assert np.sum(slope * recording.dq, axis=0) / np.sum(slope**2, axis=0) == pytest.approx(1, abs=0.1)
     assert 3000 < np.abs(recording.tau).max() < 5200
+
+
+def test_hands_on_a_panda_at_rest_are_found_without_a_model_and_without_labels():
+    """A UR3's rests have none, nor have the Panda's once the touches are labelled."""
+    touched = [imported(f"panda_mindlab/{name}.csv.gz", TOUCHED_PANDA) for name in ("a4", "a6", "b9", "d3")]
+    unlabelled = [replace(one, contact=None) for one in touched]
+    (found,) = contacts_at_rest(stretches(unlabelled), unlabelled)
+    assert 40 <= int(found.evidence.split()[0]) <= 2 * 60  # 60 touches begin and end
+    free = [imported(f"ur3_aspectum/{path.name}", UR3) for path in sorted((SHARED / "ur3_aspectum").glob("*.bag"))]
+    for recordings in (touched, free):
+        assert not contacts_at_rest(stretches(recordings), recordings)

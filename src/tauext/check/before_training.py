@@ -19,7 +19,7 @@ import numpy as np
 from tauext import _core
 from tauext.bundle.estimates import OK
 from tauext.check.checks import EXPLAINED
-from tauext.check.examine import examine, not_checked, quick_checks, unlabelled_contacts
+from tauext.check.examine import UNSEEN, examine, not_checked, quick_checks, unlabelled_contacts
 from tauext.check.finding import Finding, Severity, added, by_code, codes, finding_lines
 from tauext.check.motion import MOVING_RAD_S
 from tauext.check.torque_changes import is_unlabelled_contact
@@ -310,6 +310,8 @@ def check_training(
     """
     if missing := not_checked(recordings):
         report.say(missing)
+    if robot is None:
+        report.say(f"no robot model: {UNSEEN}")
 
     def find() -> list[Finding]:
         few = shares(recordings)
@@ -320,7 +322,7 @@ def check_training(
         if any(a is not b for a, b in zip(few, recordings, strict=True)):
             # a share cannot decide on a length, and on friction that changes
             general = [f for f in general if f.code not in ("too-short", "torque-changes") or f.severity == "fault"]
-            if not diagnosis.spoiled and not any(f.severity == "fault" for f in general):
+            if diagnosis.tree is not None and not diagnosis.spoiled and not any(f.severity == "fault" for f in general):
                 general = [f for f in general if not is_unlabelled_contact(f)]
                 general += unlabelled_contacts(recordings, diagnosis)
         fitted = ("effort-scale", "effort-motor-side") if finds_constants else ()

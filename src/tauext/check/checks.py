@@ -62,7 +62,11 @@ def _contacts(x: Examination) -> list[Finding]:
     harmless = OF_CURRENTS if in_amperes(x.recordings) or from_amperes(x.recordings) else ()
     found = [finding for step in STEPS[2:] for finding in x.found.get(step, [])]
     faulty = any(finding.severity == "fault" and finding.code not in harmless for finding in found)
-    return [] if x.spoiled or faulty else torque.unlabelled_findings(x.recordings, x.tree, x.lag_s)
+    if x.spoiled or faulty:
+        return []
+    if x.tree is None:
+        return [] if not NEEDS["measured torque"](x) else torque.contacts_at_rest(x.motion, x.recordings)
+    return torque.unlabelled_findings(x.recordings, x.tree, x.lag_s)
 
 
 # --- The table.
@@ -162,7 +166,7 @@ CHECKS = [
     Row(("torque-changes",), CHANGES, torque.friction_findings, ("fit",)),
     Row(("torque-changes",), CHANGES, torque.growth_findings, ("fit", "measured torque")),
     Row(("torque-changes",), CHANGES, torque.step_findings, ("fit", "measured torque")),
-    Row(("contact-in-free-motion",), CHANGES, _contacts, ("fit", "model")),
+    Row(("contact-in-free-motion",), CHANGES, _contacts, ("fit",)),
     Row(("robot-file-other",), CHANGES, robot_file.other_robot_findings, ("fit", "model", "measured torque")),
     Row((), CHANGES, _added_last)
 ]  # fmt: skip

@@ -162,6 +162,9 @@ def facts_of(x: Examination) -> list[Facts]:
 # --- The diagnosis as text for a terminal and as plain data for a script.
 
 
+UNSEEN = "contacts without a label are only found where all joints rest"
+"""What the checks miss without a robot model."""
+
 COLUMNS = (
     ("torque_is", "tau is", "", ""),
     ("range_rad", "range", "rad", ".2f"),
@@ -201,8 +204,7 @@ def as_files(diagnosis: Diagnosis, recordings: Iterable[str], without_model: boo
     """Contents of check.txt and check.json, of recordings of these names."""
     text = as_text(diagnosis)
     if without_model:
-        what = "order, scale, gravity and payload cannot be checked, and touches without a label not be found"
-        text = f"no robot model: {what}\n{text}"
+        text = f"no robot model: order, scale, gravity and payload cannot be checked, and {UNSEEN}\n{text}"
     return text, as_data(diagnosis) | {"recordings": list(recordings)}
 
 

@@ -12,7 +12,7 @@ from tauext.check import joint_fit
 from tauext.check.examination import Examination
 from tauext.check.finding import Finding
 from tauext.check.joint_fit import RESISTS, FitRows, JointFit
-from tauext.check.motion import MOVING_RAD_S, RowFilter, smooth, some_known, stretches
+from tauext.check.motion import FIT, MOVING_RAD_S, RowFilter, Stretch, smooth, some_known, stretches
 from tauext.config import FreeMotionConfig
 from tauext.data.free_motion import total_s, unknown_s
 from tauext.data.recording import Recording, runs_of
@@ -198,8 +198,8 @@ def unlabelled_findings(
     """Find disturbances far beyond the usual error that training would use as free motion; one finding for all.
 
     The surroundings of a label are excluded, as in training; a label that comes later is found. Without a model nothing
-    is found, since an error of gravity at a rare pose resembles a push; nor are pushes below a few times the error at
-    friction reversals.
+    is found, since an error of gravity at a rare pose resembles a push (but see contacts_at_rest); nor are pushes below
+    a few times the error at friction reversals.
 
     Args:
         recordings: without faults of their signals.
@@ -297,6 +297,101 @@ def often_disturbed(rows: FitRows, joints: Sequence[str], unit: str, rules: Ofte
     )
     evidence = f"the torque is often off, which the motion does not explain: {'; '.join(parts)}"
     return [Finding("contact-in-free-motion", "warning", None, evidence, advice)]
+
+
+# --- Contacts without a model: an arm at rest.
+
+
+@dataclass(frozen=True)
+class RestRules:
+    """When the torque of an arm at rest changes by a contact. Good recordings have one such change in 30 s of rest."""
+
+    settled_s: float = 0.5  # left out after motion, in which vibration and integral action decay ...
+    before_s: float = 0.3  # ... and before it: the torque rises before a joint leaves stiction
+    travel_rad: float = 5e-4  # a longer way turns friction round
+    over_s: float = 0.32  # time over which a change counts
+    median_s: float = 0.36  # length of the median filter before, which removes spikes
+    share: float = 0.25  # least change, as a share of the torque's spread ...
+    times: float = 8.0  # ... and as a multiple of the usual change
+    joints: int = 2  # that change together: a single joint may hunt, or its sensor fail
+    off: float = 0.1  # torque below this share of its spread at all joints: brakes hold the arm
+    least: int = 4  # changes in all ...
+    least_per_s: float = 0.1  # ... and in a second of rest
+
+
+def contacts_at_rest(
+    motion: Sequence[Stretch], recordings: Sequence[Recording], rules: RestRules = RestRules()
+) -> list[Finding]:
+    """Find contacts without a model: while all joints rest, nothing else changes gravity and friction.
+
+    Torques pass a low-pass and a median filter. Changes from or to torques of 0 are those of brakes.
+
+    Args:
+        motion: of these recordings, without labelled contacts.
+    """
+    if not motion:
+        return []
+    spread = np.concatenate([FIT.rows(s.tau, s.rate_hz) for s in motion]).std(axis=0)
+    found = [part for s in motion if (part := _AtRest.of(s, rules)) is not None]
+    if not found:
+        return []
+    usual = np.median(np.abs(np.concatenate([part.changes for part in found])), axis=0)
+    least = np.maximum(rules.share * spread, rules.times * usual)
+    joints, rests_s = min(rules.joints, len(spread)), sum(part.seconds for part in found)
+    touched: list[tuple[int, float, np.ndarray]] = []
+    for part in found:
+        hits = np.flatnonzero((np.abs(part.changes) > least).sum(axis=1) >= joints)
+        for run in np.split(hits, np.flatnonzero(np.diff(part.rows[hits]) > 1) + 1) if len(hits) else ():
+            sides = part.before[run[0]], part.before[run[-1]] + part.changes[run[-1]]
+            if not any((np.abs(side) < rules.off * spread).all() for side in sides):
+                touched.append((part.recording, float(part.time_s[run[0]]), sides[1] - sides[0]))
+    if len(touched) < max(rules.least, rules.least_per_s * rests_s):
+        return []
+    number, start_s, change = max(touched, key=lambda one: float((np.abs(one[2]) / spread).max()))
+    j, r = int(np.argmax(np.abs(change) / spread)), recordings[number]
+    since_s = start_s - sum(one.duration_s for one in recordings[:number])
+    evidence = (
+        f"{len(touched)} changes of the torque in {rests_s:.0f} s in which all joints rest, the largest by "
+        f"{change[j]:.3g} {torque_unit(recordings)} at '{r.joints[j]}' at {since_s:.1f} s of '{r.name}'"
+    )
+    advice = (
+        "at rest only contacts, and drives that are switched, change the torque: limits found on this motion are as "
+        "wide as these torques; label or cut the contacts, or record motion that nothing touches"
+    )
+    return [Finding("contact-in-free-motion", "warning", None, evidence, advice)]
+
+
+@dataclass(frozen=True)
+class _AtRest:
+    """Changes of the torque over a short time in which all joints rest, (changes, joints), in one stretch."""
+
+    recording: int
+    rows: np.ndarray  # (changes,) rows at which they begin
+    time_s: np.ndarray  # (changes,)
+    before: np.ndarray  # torque there
+    changes: np.ndarray
+    seconds: float
+
+    @staticmethod
+    def of(s: Stretch, rules: RestRules) -> _AtRest | None:
+        """Those of a stretch; None: the arm never rests for long enough."""
+        q, dq = (FIT.rows(x, s.rate_hz) for x in (s.q, s.dq))
+        rate_hz, rows = s.rate_hz / max(1, round(s.rate_hz / FIT.rows_hz)), np.arange(len(q))
+        over = max(1, round(rules.over_s * rate_hz))
+        moves = (np.abs(dq) > MOVING_RAD_S).any(axis=1)
+        moves[[0, -1]] = True
+        last = np.maximum.accumulate(np.where(moves, rows, 0))
+        after = np.minimum.accumulate(np.where(moves, rows, len(rows))[::-1])[::-1]
+        rests = (rows - last >= rules.settled_s * rate_hz) & (after - rows >= rules.before_s * rate_hz)
+        same = (last[over:] == last[:-over]) & rests[over:] & rests[:-over]
+        at = np.flatnonzero(same & (np.abs(q[over:] - q[:-over]) < rules.travel_rad).all(axis=1))
+        if not len(at):
+            return None
+        from scipy.ndimage import median_filter  # takes 0.1 s to import
+
+        tau = median_filter(FIT.rows(s.tau, s.rate_hz), (max(1, round(rules.median_s * rate_hz)), 1))
+        time_s = s.start_s + FIT.end_s + at / rate_hz
+        return _AtRest(s.recording, at, time_s, tau[at], tau[at + over] - tau[at], len(at) / rate_hz)
 
 
 def is_unlabelled_contact(finding: Finding) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import bz2
 import mmap
 import os
 import shutil
@@ -10,6 +9,7 @@ import sqlite3
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Protocol
@@ -18,11 +18,11 @@ from urllib.parse import quote
 import pyarrow as pa
 
 from tauext.errors import RecordingError
+from tauext.files import unpacking
+from tauext.files.unpacking import Unpacked
 
 ROS1_MAGIC, SQLITE_MAGIC = b"#ROSBAG V", b"SQLite format 3\0"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-MOST_BYTES = 1 << 28
-"""Largest size of a chunk or a message, unpacked, [bytes]; recorders write chunks of a hundredth of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,22 +68,15 @@ def ros_type(name: str) -> str:
     return "/".join([parts[0], "msg", parts[1]] if len(parts) == 2 else parts)
 
 
-def most_unpacked(packed: int) -> int:
-    """Bytes that a part of so many bytes may unpack to: a thousand times its size, or 64 MB; an arm at rest has below
-    a hundred times."""
-    return min(MOST_BYTES, max(1 << 26, 1000 * packed))
-
-
 def decompressed(data: bytes, codec: str) -> tuple[bytes, bool]:
-    """Decompress zstd or lz4 as far as the data is whole, and to `most_unpacked`; also returns whether all of it is."""
+    """Decompress zstd, lz4 or bz2 as far as the data is whole, at most the size of a part; returns whether all of it is."""
     stream, parts, size = pa.CompressedInputStream(pa.BufferReader(data), codec), list[bytes](), 0
-    most = most_unpacked(len(data))
     try:
-        while (part := stream.read(1 << 16)) and (size := size + len(part)) <= most:
+        while (part := stream.read(1 << 16)) and (size := size + len(part)) <= unpacking.LEAST:
             parts.append(part)
     except OSError:
         return b"".join(parts), False
-    return b"".join(parts), size <= most
+    return b"".join(parts), size <= unpacking.LEAST
 
 
 # --- ROS 2: sqlite3 files, also those that the recorder did not close.
@@ -221,15 +214,20 @@ class Ros1Bag:
     """An open file; rosbags reads it by its index, a walk over its records where the index is missing or wrong."""
 
     def __init__(self, path: Path):
-        from rosbags.rosbag1 import Reader
+        from rosbags.rosbag1.reader import Reader, decompressors
 
         self.notes: list[str] = []
         self._path = path
         self._file = path.open("rb")
         self._data = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
+        self._unpacked = Unpacked(path)
         self._reader: Any = Reader(path)
         try:
             self._reader.open()
+            codecs = {function: name for name, function in decompressors.items()}
+            for at, chunk in self._reader.chunks.items():
+                bounded = partial(self._counted, at, codecs[chunk.decompressor])
+                self._reader.chunks[at] = chunk._replace(decompressor=bounded)
         except Exception:  # rosbags raises many types on damaged bytes: struct, assertion, its own
             self._reader = None
             self.notes.append("the file has no index: it was not closed, or is cut off; read up to its last message")
@@ -269,7 +267,7 @@ class Ros1Bag:
                     yield channels[connection.id], log_ns, raw
                     last_ns, missing = log_ns, missing - 1
                 return
-            except MemoryError:
+            except (MemoryError, RecordingError):
                 raise
             except Exception:  # as above
                 self._note("a damaged part of the file is left out")
@@ -284,6 +282,16 @@ class Ros1Bag:
         if note not in self.notes:
             self.notes.append(note)
 
+    def _counted(self, at: int, codec: str, packed: bytes) -> bytes:
+        """Unpack a chunk for rosbags, whose functions have no bound."""
+        if codec == "none":
+            return packed
+        chunk, whole = decompressed(packed, codec)
+        self._unpacked.add(len(chunk), at)
+        if not whole:
+            raise OSError("damaged")
+        return chunk
+
     def _walk(self, connections: dict[int, tuple[str, str, str]]) -> Iterator[tuple[int, int, bytes]]:
         """Yield connection, log time [ns] and bytes of each whole message, in the order of the file.
 
@@ -296,14 +304,13 @@ class Ros1Bag:
             packed, compression = self._data[begin:end], fields.get(b"compression", b"none")
             whole = len(packed) == end - begin
             chunk: bytes | None = packed
-            if compression == b"bz2":
-                chunk = _bz2(packed)
-            elif compression == b"lz4":
-                chunk, sound = decompressed(packed, "lz4")
+            if compression in (b"bz2", b"lz4"):
+                chunk, sound = decompressed(packed, compression.decode())
                 chunk = chunk if sound or not whole else None
             if chunk is None:
                 self._note("a damaged part of the file is left out")
                 continue
+            self._unpacked.add(len(chunk), begin)
             for inner, at, stop in _ros1_records(chunk, 0):
                 operation, number = inner.get(b"op", b"\0")[0], inner.get(b"conn", b"")
                 if len(number) != 4 or stop > len(chunk):
@@ -339,11 +346,3 @@ def _ros1_fields(data: bytes | mmap.mmap, at: int, end: int) -> dict[bytes, byte
         fields[name] = value
         at += 4 + size
     return fields
-
-
-def _bz2(packed: bytes) -> bytes | None:
-    """Decompress as far as the data is whole; None: it is damaged."""
-    try:
-        return bz2.BZ2Decompressor().decompress(packed, most_unpacked(len(packed)))
-    except OSError:
-        return None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import codecs
 import csv
-import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -35,15 +34,17 @@ from tauext.data.importers.cells import (
     stated_hz,
     unread_times,
 )
-from tauext.data.importers.raw import MOST_UNPACKED, RATIO, Lost, RawRecording, RawSignals, short_list
+from tauext.data.importers.raw import Lost, RawRecording, RawSignals, short_list
 from tauext.errors import RecordingError
-from tauext.files.preflight import in_words
+from tauext.files.unpacking import Unpacked
 
 GZIP_MAGIC = b"\x1f\x8b"
 UTF16_MAGIC = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 BLOCK_BYTES = 1 << 21
 LONGEST_LINE = 1 << 24
 """Largest line, [bytes]: ten thousand signals need a hundredth of it."""
+MOST_OTHER = 1 << 20, 20
+"""Lines that are no rows: so many, or so many a row. They are read one by one, which takes minutes for a hundred MB."""
 COMMENT = re.compile(r"\s*(#+|//+|%+(?=[\s%]))\s*")
 """Beginning of a line of comment, or of commented names; `%time` is a name of rostopic."""
 _SEPARATORS = (",", ";", "\t", "|", " ")
@@ -148,16 +149,13 @@ class _Text:
         """
         with self.path.open("rb") as raw:
             zipped = raw.read(2) == GZIP_MAGIC
-        held, rest, convert, size = b"", b"", None, 0
-        most = max(MOST_UNPACKED, RATIO * self.path.stat().st_size) if zipped else math.inf
+        held, rest, convert = b"", b"", None
+        unpacked = Unpacked(self.path) if zipped else None
         try:
             with pa.input_stream(str(self.path), compression="gzip" if zipped else None) as file:
                 while data := file.read(BLOCK_BYTES):
-                    if (size := size + len(data)) > most:
-                        raise RecordingError(
-                            f"{self.path}: it unpacks to more than {in_words(most)}, from "
-                            f"{in_words(self.path.stat().st_size)}; no recording is packed like that"
-                        )
+                    if unpacked:
+                        unpacked.add(len(data))
                     convert = convert or _converter(data)
                     data = rest + convert(data)
                     end = data.rfind(b"\n") + 1
@@ -492,7 +490,7 @@ class _Reader:
             raise RecordingError(f"{self.text.path}: it has no rows under its names")
 
     def _blocks(self) -> Iterator[tuple[RawSignals, Lost]]:
-        skip, line, stamps, whole = self.dialect.first_line, 0, StampReader(), True
+        skip, line, stamps, whole, others = self.dialect.first_line, 0, StampReader(), True, 0
         for chunk in self.text.chunks():
             while skip and chunk:
                 chunk, skip = chunk[chunk.find(b"\n") + 1 :] if b"\n" in chunk else b"", skip - 1
@@ -502,6 +500,12 @@ class _Reader:
             table, at = self._table(chunk, count, line, lost)
             rows = np.arange(line, line + count) if at is None else at + line
             line += count
+            others += count - len(rows)
+            if others > max(MOST_OTHER[0], MOST_OTHER[1] * (line - others)):
+                raise RecordingError(
+                    f"{self.text.path}: {others:,} of its first {line:,} lines are blank, comments or broken: this is "
+                    "no recording"
+                )
             signals = self._signals(table, rows, stamps, lost)
             whole &= at is None and len(signals.columns) == count
             yield (replace(signals, rows=None) if whole else signals), lost

@@ -18,9 +18,10 @@ from typing import Any
 import numpy as np
 
 from tauext.data.importers.cells import USUAL_CLOCK, paired_stamps, stated_hz
-from tauext.data.importers.raw import BLOCK_ROWS, MOST_UNPACKED, RATIO, RawRecording, RawSignals, short_list, whole
+from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list, whole
 from tauext.errors import RecordingError
 from tauext.files.preflight import in_words
+from tauext.files.unpacking import Unpacked, most_unpacked
 
 # --- Named arrays of a file: which are signals, and which of their axes counts samples.
 
@@ -368,7 +369,7 @@ def _expect_readable(path: Path, dataset: Any) -> None:
             f"{path}: '{dataset.name}' is stored in chunks of {in_words(size)}, and {in_words(MOST_CHUNK)} are the "
             "most; write it with smaller chunks, of some thousand rows"
         )
-    if dataset.nbytes > max(MOST_UNPACKED, RATIO * path.stat().st_size, RATIO * stored):
+    if dataset.nbytes > most_unpacked(max(path.stat().st_size, stored)):
         raise RecordingError(
             f"{path}: '{dataset.name}' states {in_words(dataset.nbytes)}, and {in_words(stored)} are stored; no "
             "recording is packed like that"
@@ -544,11 +545,9 @@ def open_matlab(path: Path) -> list[RawRecording]:
 
 def _expect_unpacked(path: Path) -> None:
     """Refuse a MATLAB file that unpacks to far more than its size, before SciPy unpacks it."""
-    size = path.stat().st_size
-    most = max(MOST_UNPACKED, RATIO * size)
-    if size * 1032 <= most:  # DEFLATE packs no better
+    unpacked = Unpacked(path)
+    if path.stat().st_size * 1032 <= unpacked.most:  # DEFLATE packs no better
         return
-    unpacked = 0
     with path.open("rb") as file:
         order = "<" if file.read(128)[126:128] == b"IM" else ">"
         while len(tag := file.read(8)) == 8:
@@ -559,13 +558,8 @@ def _expect_unpacked(path: Path) -> None:
                 while left > 0 and (packed := file.read(min(left, 1 << 16))):
                     left -= len(packed)
                     while packed and not stream.eof:
-                        unpacked += len(stream.decompress(packed, 1 << 20))
+                        unpacked.add(len(stream.decompress(packed, 1 << 20)))
                         packed = stream.unconsumed_tail
-                        if unpacked > most:
-                            raise RecordingError(
-                                f"{path}: it unpacks to more than {in_words(most)}, from {in_words(size)}; no "
-                                "recording is packed like that"
-                            )
             file.seek(end)
 
 

@@ -17,9 +17,11 @@ from zlib import crc32
 
 import pyarrow as pa
 
-from tauext.data.importers.bag import Channel, CountLost, decompressed, most_unpacked, ros_type
+from tauext.data.importers.bag import Channel, CountLost, decompressed, ros_type
 from tauext.errors import RecordingError
+from tauext.files import unpacking
 from tauext.files.preflight import in_words
+from tauext.files.unpacking import Unpacked
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, CHUNK_INDEX, STATISTICS, DATA_END = 2, 3, 4, 5, 6, 8, 11, 15
@@ -38,6 +40,7 @@ class McapFile:
         self.notes: list[str] = []
         self._path, self._file = path, path.open("rb")
         self._data = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
+        self._unpacked = Unpacked(path)
         self._begin()
         if not self._read_summary():
             self._begin()
@@ -194,9 +197,10 @@ class McapFile:
         except (struct.error, UnicodeDecodeError):
             return b""
         at += 8
-        if size > (most := most_unpacked(length)):
-            self._note(f"a part that states {in_words(size)} is left out: {in_words(most)} are the most for its size")
+        if size > unpacking.LEAST:
+            self._note(f"a part that states {in_words(size)} is left out: {in_words(unpacking.LEAST)} are the most")
             return b""
+        self._unpacked.add(size, begin)
         packed = self._data[at : at + length]
         whole = len(packed) == length
         if compression and compression not in ("zstd", "lz4"):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import struct
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -22,16 +24,14 @@ from tauext.data.importers.cells import (
     numbers_of,
     paired_stamps,
 )
-from tauext.data.importers.raw import BLOCK_ROWS, MOST_UNPACKED, RawRecording, RawSignals, short_list, whole
+from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list, whole
 from tauext.errors import RecordingError
-from tauext.files.preflight import in_words
+from tauext.files.unpacking import Unpacked
 
 MAGIC, ARROW_MAGIC = b"PAR1", b"ARROW1"
-BROKEN = (pa.ArrowException, OSError)
+BROKEN = (pa.ArrowException, OSError, struct.error)
 MOST_VALUES = 1 << 24
 """Values of the columns of a batch, all together."""
-RATIO = 1000
-"""Most bytes of numbers a byte of the file: a column that stays the same takes next to none, a clock some."""
 UNIT_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 
 
@@ -101,16 +101,20 @@ class _Table:
         Raises:
             RecordingError: it does, or it is damaged.
         """
-        if self.kind != "Parquet":
+        unpacked = Unpacked(self.path)
+        if self.kind == "Parquet":
+            with pq.ParquetFile(self.path) as file:
+                unpacked.add(8 * sum(self._values(file.metadata)))
             return
-        with pq.ParquetFile(self.path) as file:
-            numbers = sum(self._values(file.metadata))
-        most = max(MOST_UNPACKED, RATIO * self.path.stat().st_size)
-        if 8 * numbers > most:
-            raise RecordingError(
-                f"{self.path}: it states {numbers:,} values, which unpack to more than {in_words(most)}; no recording "
-                "is packed like that"
-            )
+        with self._stream() as stream:
+            for message in pa.ipc.MessageReader.open_stream(stream):
+                unpacked.add(_stated_bytes(message))
+
+    @contextmanager
+    def _stream(self) -> Iterator[Any]:
+        """What lies between the marks of an Arrow file: the messages of a stream, which alone are read."""
+        with pa.memory_map(str(self.path)) as source:
+            yield pa.BufferReader(source.read_buffer()[8:])
 
     @staticmethod
     def _values(metadata: Any) -> list[int]:
@@ -129,9 +133,8 @@ class _Table:
             with pq.ParquetFile(self.path) as file:
                 yield from file.iter_batches(self._rows_at_a_time(file.metadata), columns=columns)
             return
-        with pa.memory_map(str(self.path)) as source, pa.ipc.open_file(source) as file:
-            for k in range(file.num_record_batches):
-                batch = file.get_batch(k)
+        with self._stream() as stream, pa.ipc.open_stream(stream) as batches:
+            for batch in batches:
                 batch = batch if columns is None else batch.select(columns)
                 batch.validate(full=True)  # wrong offsets of a damaged file would end the process
                 for first in range(0, len(batch), BLOCK_ROWS):
@@ -197,6 +200,46 @@ class _Table:
                 row += len(batch)
                 if len(numbers):
                     yield RawSignals("", names, t_ns, numbers, rows=rows)
+
+
+def _stated_bytes(message: Any) -> int:
+    """Bytes to which a message of an Arrow stream unpacks, by its metadata: those of its buffers, or of its elements.
+
+    The metadata are FlatBuffers [Message.fbs of Apache Arrow]: a table is a list of offsets to its fields. Compressed
+    buffers begin with their size, -1 for one that is stored as it is.
+    """
+    data, body = message.metadata.to_pybytes(), message.body
+
+    def number(form: str, at: int) -> int:
+        (value,) = struct.unpack_from(f"<{form}", data, at)
+        return int(value)
+
+    def field(table: int, k: int) -> int:
+        """Position of the table's field; 0: it has none."""
+        fields = table - number("i", table)
+        offset = number("H", fields + 4 + 2 * k) if 4 + 2 * k < number("H", fields) else 0
+        return table + offset if offset else 0
+
+    def pairs(table: int, k: int) -> list[tuple[int, int]]:
+        """Pairs of integers in a list of the table."""
+        if not (at := field(table, k)):
+            return []
+        at += number("I", at)
+        return list(struct.iter_unpack("<qq", data[at + 4 : at + 4 + 16 * number("I", at)]))
+
+    if message.type not in ("record batch", "dictionary"):
+        return 0
+    batch = field(number("I", 0), 2)
+    batch += number("I", batch)
+    if message.type == "dictionary":
+        batch = field(batch, 1)
+        batch += number("I", batch)
+    elements, buffers = sum(length for length, _ in pairs(batch, 1)), 0
+    for offset, length in pairs(batch, 2):
+        packed = body[offset : offset + 8].to_pybytes() if field(batch, 3) and length >= 8 else b""
+        size = int.from_bytes(packed, "little", signed=True) if len(packed) == 8 else -1
+        buffers += length if size < 0 else size
+    return max(buffers, 8 * elements)
 
 
 def _is_binary(kind: pa.DataType) -> bool:

@@ -17,8 +17,6 @@ from tauext.errors import RecordingError
 
 BLOCK_ROWS = 8192
 """Samples in a block: enough for NumPy's speed, few enough for memory."""
-MOST_UNPACKED, RATIO = 1 << 28, 200
-"""Bytes that a file may unpack to, whatever its size, and as a multiple of its size: an arm at rest has below 100."""
 
 
 def short_list(names: Iterable[str], most: int = 8) -> str:

@@ -20,10 +20,11 @@ import numpy as np
 import pyarrow as pa
 
 from tauext.data.importers import bag, mcap_file
-from tauext.data.importers.bag import MOST_BYTES, ZSTD_MAGIC, BagFile, Channel, decompressed
+from tauext.data.importers.bag import ZSTD_MAGIC, BagFile, Channel, decompressed
 from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals
 from tauext.errors import RecordingError
 from tauext.files.preflight import in_words
+from tauext.files.unpacking import Unpacked
 
 
 @cache
@@ -542,8 +543,7 @@ def _unpacked(file: Path, folder: Path) -> tuple[Path, bool]:
     path = folder / file.name.removesuffix(".zstd")
     with file.open("rb") as packed, path.open("wb") as out, pa.CompressedInputStream(packed, "zstd") as stream:
         free, size = int(MOST_OF_DISK * shutil.disk_usage(folder).free), 0
-        ratio = 1000  # of the sizes unpacked and packed; bags of an arm at rest have less than 100
-        most = max(ratio * file.stat().st_size, MOST_BYTES)
+        unpacked = Unpacked(file)
         while True:
             try:
                 part = stream.read(1 << 20)
@@ -558,8 +558,5 @@ def _unpacked(file: Path, folder: Path) -> tuple[Path, bool]:
                     f"{file}: it unpacks to more than {in_words(free)}, {MOST_OF_DISK:.0%} of what is free in "
                     f"{folder.parent}; free some, or set TMPDIR to another disk"
                 )
-            if size > most:
-                raise RecordingError(
-                    f"{file}: it unpacks to more than {in_words(most)}, {ratio} times its size; no recording does"
-                )
+            unpacked.add(len(part))
             out.write(part)

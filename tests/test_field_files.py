@@ -398,6 +398,18 @@ IN_UNITS = {
 }
 """Numbers of a radian, a radian a second, a newton metre and a nanosecond in units of columns."""
 SPELLINGS = (
+    ("t {ms}", "ms", "q_{joint} {deg}", "deg", "dq_{joint}{deg/s}", "deg/s", "tau_{joint} {Nm}", "Nm"),
+    (
+        "Zeit_[ms]",
+        "ms",
+        "A{number}_pos_[deg]",
+        "deg",
+        "A{number}_vel_[deg/s]",
+        "deg/s",
+        "A{number}_trq_[Nm]",
+        "Nm",
+        "A{number}",
+    ),
     ("time (ms)", "ms", "q {joint} [deg]", "deg", "dq {joint} [deg/s]", "deg/s", "tau {joint} [Nm]", "Nm"),
     (
         "Time [sec]",

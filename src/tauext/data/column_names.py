@@ -85,7 +85,8 @@ UNITS: dict[str, dict[str, str]] = {
 }
 """Units of each signal as arm.toml has them, and how names spell them."""
 _ANY_UNIT = "|".join(dict.fromkeys(spelled for units in UNITS.values() for spelled in units.values()))
-_IN_BRACKETS = re.compile(r"\s*[\[(<]\s*([^\[\](){}<>]+?)\s*[\])>]")
+_IN_BRACKETS = re.compile(r"\s*[\[(<{]\s*([^\[\](){}<>]+?)\s*[\])>}]")
+_PLACE = r"\{(?:joint|index|number)\}"
 _AT_END = re.compile(rf"(?:[_ /.,-]+(?:in[_ ])?({_ANY_UNIT})|(?-i:(?<=[a-z])(mNm|Nm|Deg|Rad)))$", re.IGNORECASE)
 _AT_BEGIN = re.compile(rf"(?=[^_ ]{{2}})({_ANY_UNIT})[_ ]+", re.IGNORECASE)
 
@@ -135,7 +136,7 @@ def spelled(pattern: str) -> Spelled:
         element = spelled(array[2])  # of a goal, all elements are goals
         of_goal = fits("q_des", of_array := spelled(array[1]).words) and fits("q", element.words)
         return Spelled(of_array, element.unit, element.certain) if of_goal else element
-    name = re.sub(r"[_/. ]?\{\w+\}[_. ]?", " ", pattern).strip(" _/.")
+    name = re.sub(rf"[_/. ]?{_PLACE}[_. ]?", " ", pattern).strip(" _/.")
     for match in _IN_BRACKETS.finditer(name):
         if is_unit(match[1]):
             name, unit, certain = (name[: match.start()] + name[match.end() :]).strip(" _"), match[1], True
@@ -163,7 +164,7 @@ def _without_unit(name: str) -> str:
     """A name without the unit in brackets or at its end; empty: its unit is no angle's."""
     for match in _IN_BRACKETS.finditer(name):
         if is_unit(match[1]) or match[1] in ("m", "mm", "cm", "-"):
-            bare = (name[: match.start()] + name[match.end() :]).strip()
+            bare = (name[: match.start()] + name[match.end() :]).strip(" _.")
             return bare if unit_of("q", match[1]) else ""
     angle = f"({_ANGLES['rad']}|{_ANGLES['deg']})"
     return re.sub(rf"^{angle}[_ ]+|[_ ,]+(in )?{angle}$", "", name, flags=re.IGNORECASE)
@@ -184,7 +185,7 @@ def side_of(pattern: str) -> str:
 def motor_side(pattern: str) -> bool:
     """Whether a name states the motor's side of the gear."""
     return (
-        re.search(r"(?:^|[_./ ])(motor|rotor)(?:[_./ ]|$)", re.sub(r"\{\w+\}", "", pattern), re.IGNORECASE) is not None
+        re.search(r"(?:^|[_./ ])(motor|rotor)(?:[_./ ]|$)", re.sub(_PLACE, "", pattern), re.IGNORECASE) is not None
     )
 
 
@@ -204,7 +205,7 @@ def groups_of(names: Sequence[str]) -> dict[str, int]:
             pattern = name[: element.start()]
         else:
             bare, after = name, ""
-            if (unit := re.search(r"\s*[\[(][^\[\](){}]*[\])]\s*$", name)) and unit.start():
+            if (unit := re.search(r"\s*[\[({][^\[\](){}]*[\])}]\s*$", name)) and unit.start():
                 bare, after = name[: unit.start()], unit[0]
             # Of several numbers, the last one counts; q1 and q2 need no other number to differ.
             if match := re.fullmatch(r"(.*?\D)(\d+)(\D*)", bare) or re.fullmatch(r"(.*\D)(\d+)(\D*)", bare):

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from made_arms import planar_arm
 from sliding_mass import prismatic_mass
-from test_few_data import motion, trained
+from test_check_data import Heard
+from test_few_data import EXACT, motion, trained
 
 from tauext import _core
-from tauext.config import AlarmConfig, DriftConfig, FreeMotionConfig, ObserverConfig
+from tauext.config import AlarmConfig, DriftConfig, FreeMotionConfig, ObserverConfig, PriorConfig, TrainConfig
 from tauext.data.dataset import Dataset, Split
+from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.train.calibrate import recalibrate
@@ -32,6 +35,8 @@ from tauext.train.error_scale import (
     sigma_weights,
 )
 from tauext.train.fitting import GainConfig, mean_delay_s
+from tauext.train.preparation import TrainingInput
+from tauext.train.stage import train_on_recordings
 
 ROWS = 20_000
 
@@ -232,9 +237,10 @@ def test_calibrate_keeps_the_scale_or_fits_it_to_recordings_apart_from_those_of_
         recalibrate(tmp_path / "made.tauext", dataset, out, AlarmConfig(), refit_error_scale=refit)
         made[refit] = _core.Bundle.load(str(out))
     kept, fitted = made[False], made[True]
-    (before, same), changed = (
-        (np.array(one.error_scale.limit_weights).reshape(bundle.joints, -1) for one in (bundle, kept)),
-        np.array(fitted.error_scale.limit_weights).reshape(bundle.joints, -1),
+    of_limits = json.loads(bundle.provenance)["error_scale"]["of_limits"]["limit_weights"]
+    before, same, changed = (
+        np.array(weights).reshape(bundle.joints, -1)
+        for weights in (of_limits, kept.error_scale.limit_weights, fitted.error_scale.limit_weights)
     )
     standstill = FEATURES.index(_core.MotionFeature.standstill)  # limits at rest are no lower than the friction's share
     np.testing.assert_array_equal(np.delete(same, standstill, 1), np.delete(before, standstill, 1))
@@ -247,6 +253,41 @@ def test_calibrate_keeps_the_scale_or_fits_it_to_recordings_apart_from_those_of_
     recordings[1:] = []
     with pytest.raises(ConfigError, match="2 calibration recordings or more"):
         recalibrate(tmp_path / "made.tauext", dataset, tmp_path / "x.tauext", AlarmConfig(), refit_error_scale=True)
+
+
+def with_unknown(recording: Recording) -> Recording:
+    contact = np.zeros(recording.samples, dtype=np.int8)
+    contact[100:600] = -1
+    return replace(recording, contact=contact)
+
+
+@pytest.mark.parametrize("in_hours", [0.02, 8.0], ids=["proved", "extrapolated"])
+def test_calibrate_gives_the_limits_of_a_training_with_the_same_calibration_recordings(tmp_path, monkeypatch, in_hours):
+    """Nothing is left of what minutes need: floors, the share of friction, and limits at rest that outlast a rest."""
+    day = [with_unknown(motion(seconds=60.0, seed=1)), *(motion(seconds=60.0, seed=k) for k in range(2, 6))]
+    day = [replace(one, name=f"day{k}") for k, one in enumerate(day)]
+    loaders = [lambda one=one: one for one in day]
+    training, alarm = [motion(seconds=60.0)], AlarmConfig(in_hours=in_hours)
+    short, _ = trained(tmp_path, monkeypatch, training, recipe="prior", alarm=alarm)
+    monkeypatch.setattr(Dataset, "stretches", lambda self, part: loaders)
+    heard, names = Heard(), ("once", "twice")
+    for old, new in zip(("made", "once"), names, strict=True):
+        paths = (tmp_path / f"{name}.tauext" for name in (old, new))
+        recalibrate(next(paths), Dataset(tmp_path, Split((), (), ())), next(paths), alarm, report=heard)
+    assert sum("calibration: 4." in words and "of 4.0 s the contact is unknown" in words for words in heard.said) == 2
+    given = TrainingInput(Path(), EXACT, training, [], calibration=loaders, model=planar_arm())
+    config = TrainConfig(recipe="prior", prior=PriorConfig(most_ripples=0), alarm=alarm)
+    train_on_recordings(given, config, tmp_path / "whole.tauext", heard)
+    assert any("made" not in words and "of 4.0 s the contact is unknown" in words for words in heard.said)
+    whole, *made = (_core.Bundle.load(str(tmp_path / f"{name}.tauext")) for name in ("whole", *names))
+    assert not np.allclose(short.error_scale.limit_weights, whole.error_scale.limit_weights, rtol=0.01)
+    for one in made:
+        # the rows of the scale are judged with and without the time for which limits at rest outlast a rest
+        scales = one.error_scale, whole.error_scale
+        np.testing.assert_allclose(*(scale.limit_weights for scale in scales), rtol=0.05, atol=0.01)
+        np.testing.assert_allclose(*(scale.largest for scale in scales), rtol=0.05)
+        for limit in ("sliding_limit_nm", "near_stiction_limit_nm", "contact_sliding_limit_nm"):
+            np.testing.assert_allclose(getattr(one, limit), getattr(whole, limit), rtol=0.05)
 
 
 def test_the_error_in_a_span_does_not_depend_on_what_follows(tmp_path, monkeypatch):

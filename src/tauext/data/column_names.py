@@ -184,9 +184,7 @@ def side_of(pattern: str) -> str:
 
 def motor_side(pattern: str) -> bool:
     """Whether a name states the motor's side of the gear."""
-    return (
-        re.search(r"(?:^|[_./ ])(motor|rotor)(?:[_./ ]|$)", re.sub(_PLACE, "", pattern), re.IGNORECASE) is not None
-    )
+    return re.search(r"(?:^|[_./ ])(motor|rotor)(?:[_./ ]|$)", re.sub(_PLACE, "", pattern), re.IGNORECASE) is not None
 
 
 # --- Columns that differ in their joint or number only.

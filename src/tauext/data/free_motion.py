@@ -92,6 +92,33 @@ def free_samples(recording: Recording, margins: FreeMotionConfig = FreeMotionCon
     return (contact == 0) & _far_from(contact == 1, recording.t_ns, margins.before_s, margins.after_s)
 
 
+@dataclass
+class NotFree:
+    """Time of recordings that is no free motion."""
+
+    margins: FreeMotionConfig
+    left_out_s: float = 0.0
+    unknown_s: float = 0.0
+    """Of it: time of which it is unknown whether something touches the arm (contact = -1)."""
+
+    def add(self, recordings: Iterable[Recording]) -> NotFree:
+        """Count these recordings, too."""
+        for one in recordings:
+            self.left_out_s += float((~free_samples(one, self.margins)).sum() / one.rate_hz)
+            self.unknown_s += unknown_s([one])
+        return self
+
+    def sentence(self) -> str:
+        """Text for the user; empty: all is free motion."""
+        if not self.left_out_s:
+            return ""
+        unknown = f"; of {self.unknown_s:.1f} s the contact is unknown (-1)" if self.unknown_s else ""
+        return (
+            f"{self.left_out_s:.1f} s are left out: in contact, {self.margins.before_s:g} s before one or "
+            f"{self.margins.after_s:g} s after{unknown}"
+        )
+
+
 def free_pieces(
     recordings: Iterable[Recording],
     margins: FreeMotionConfig = FreeMotionConfig(),  # noqa: B008

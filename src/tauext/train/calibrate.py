@@ -23,7 +23,7 @@ from tauext.files.preflight import expect_new_file
 from tauext.files.provenance import provenance
 from tauext.progress import SILENT, Reporter, WallTimes
 from tauext.train.declared_spread import Contacts, SpreadFound, noticed_standing, put_spread, with_tool_forces
-from tauext.train.error_scale import collect_rows, fit_error_scale
+from tauext.train.error_scale import collect_rows, fit_error_scale, limit_scale, put_limit_scale
 from tauext.train.limits import LIMITS, no_calibration, put_limit_findings, refuse_limits, worse_promise
 from tauext.train.paper_limits import LimitMotion, Loaders
 from tauext.train.promised_limits import counted, fitting, left_out_facts, no_freeze, remove_checkpoint
@@ -47,6 +47,9 @@ def recalibrate(
     The quick checks (tauext.check) run first on every recording: faults are refused, warnings are reported and stored.
     An interrupted run resumes after its last finished recording.
 
+    What minutes of motion added to the limits is removed first (floors, a share of friction, the time for which limits
+    at rest outlast a rest), so that the limits are those of a training with these calibration recordings.
+
     Its run file, with the first one's content, and its wall time are written beside it.
 
     Args:
@@ -67,8 +70,12 @@ def recalibrate(
     files, where = dataset.files("calibration"), str(dataset.folder)
     checked = check_for_bundle(loaded, "calibration", files, where, accept, threads, report)
     facts["checks"] = facts.get("checks", {}) | checked
+    loaded.near_memory_s = 0.0
     if refit_error_scale:
-        loaders, facts["error_scale"] = refit_scale(loaded, loaders, threads, report)
+        loaders, found = refit_scale(loaded, loaders, threads, report)
+        facts["error_scale"] = found | {"of_limits": limit_scale(loaded)}
+    else:
+        put_limit_scale(loaded, facts.get("error_scale", {}).get("of_limits", {}))
     rejected = Rejected.of(loaded, fitting(loaded, loaders), threads or os.cpu_count() or 1)
     if words := rejected.warning("the calibration recordings", accept):
         report.say(words)

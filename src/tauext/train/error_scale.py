@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
@@ -128,7 +128,8 @@ def no_free_motion(bundle: _core.Bundle, margins: FreeMotionConfig) -> TrainingE
     window = " and the network's window" if bundle.has_network else ""
     return TrainingError(
         f"limits need free motion: no recording has any beyond the warm-up of {warm_s:g} s{window}, with "
-        f"{margins.before_s:g} s before and {margins.after_s:g} s after every contact left out"
+        f"{margins.before_s:g} s before and {margins.after_s:g} s after every contact, and samples of unknown contact "
+        "(-1), left out"
     )
 
 
@@ -223,6 +224,20 @@ def fit_error_scale(
         drifted = drift.freeze_floor_share * np.array(bundle.drift.size_nm)
         bundle.drift.freeze_floor_nm = np.maximum(drifted, seen).tolist()
     return {"hours": rows.hours, "power": rows.power}
+
+
+def limit_scale(bundle: _core.Bundle) -> dict:
+    """The scale of the limits as facts: what is found on short motion raises it later (`asked_limits.put_floors`)."""
+    scale = bundle.error_scale
+    return {"limit_weights": list(scale.limit_weights), "largest": list(scale.largest)}
+
+
+def put_limit_scale(bundle: _core.Bundle, facts: Mapping) -> None:
+    """Set the scale of the limits from `limit_scale`; a bundle without these facts keeps its own."""
+    if facts:
+        scale = bundle.error_scale
+        scale.limit_weights, scale.largest = facts["limit_weights"], facts["largest"]
+        bundle.error_scale = scale
 
 
 def put_constant_error(bundle: _core.Bundle, rows: ErrorRows) -> None:

@@ -31,6 +31,7 @@ from tauext.train.error_scale import (
     HeldOut,
     collect_rows,
     fit_error_scale,
+    limit_scale,
     put_constant_error,
     with_outputs,
 )
@@ -115,7 +116,7 @@ def put_error_scale(run: TrainingRun, bundle: Bundle, setup: Setup, motion: Limi
             if motion.fit is not None:
                 programs, added = widen_for_other_programs(bundle, setup, motion.fit, run.training, rows)
                 started, motion = started | {"other_programs": programs}, replace(motion, added_weights=added)
-        run.facts["error_scale"] = started
+        run.facts["error_scale"] = started | {"of_limits": limit_scale(bundle)}
         for one in motion.left_out:
             assert one.bundle is not None
             one.bundle.error_scale = bundle.error_scale

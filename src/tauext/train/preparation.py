@@ -15,15 +15,14 @@ from tauext._core import Bundle, TorqueUnit, TorqueUnits, Tree
 from tauext.config import FreeMotionConfig, ModelCase, PriorConfig, TrainConfig
 from tauext.data.free_motion import (
     LeftOut,
+    NotFree,
     SignalBounds,
     first_seconds,
     free_pieces,
-    free_samples,
     possible_parts,
     split_by_time,
     standing_joints,
     total_s,
-    unknown_s,
 )
 from tauext.data.labels import Label
 from tauext.data.recording import Recording
@@ -166,15 +165,16 @@ def training_motion(
     """
     expect_some(training)
     stand = standing_joints(training)
+    left_out = list(filter(None, [NotFree(config.margins).add([*training, *validation]).sentence()]))
     if not (learns and config.row.learns):
-        return as_they_are(training, validation, left_out_sentences([*training, *validation], config))
+        return as_they_are(training, validation, left_out)
     if stand.all():
         raise TrainingError(
             f"no joint moves in any of {len(training)} training recordings: friction and model cannot be learned, so "
             f"recipe {config.recipe} cannot be trained. Use --recipe observer (or highpass), with "
             "limits that hold at rest only; or record motion of every joint"
         )
-    notes = left_out_sentences([*training, *validation], config)
+    notes = left_out
     uncut = free_pieces(training, config.margins)
     learned_on, validated_on = uncut, free_pieces(validation, config.margins)
     network = config.row.network is not None
@@ -218,18 +218,6 @@ def as_they_are(training: Sequence[Recording], validation: Sequence[Recording], 
         notes.append("the dataset has no validation recordings: limits are found on the training recordings")
     for_limits = list(validation or training)
     return TrainingMotion(list(training), for_limits, for_limits, list(training), notes)
-
-
-def left_out_sentences(recordings: Sequence[Recording], config: TrainConfig) -> list[str]:
-    """Sentences on how much of the recordings is no free motion; empty if all is."""
-    left_out_s = sum(float((~free_samples(r, config.margins)).sum() / r.rate_hz) for r in recordings)
-    if not left_out_s:
-        return []
-    unknown = f"; of {seconds:.1f} s the contact is unknown (-1)" if (seconds := unknown_s(recordings)) else ""
-    return [
-        f"{left_out_s:.1f} s are left out: in contact, {config.margins.before_s:g} s before one or "
-        f"{config.margins.after_s:g} s after{unknown}"
-    ]
 
 
 def expect_known(recordings: Sequence[Recording]) -> None:

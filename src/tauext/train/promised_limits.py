@@ -17,7 +17,7 @@ from tauext import _core
 from tauext.bundle.match import expect_fit
 from tauext.config import AlarmConfig
 from tauext.data.dataset import ahead
-from tauext.data.free_motion import LeftOut, SignalBounds
+from tauext.data.free_motion import LeftOut, NotFree, SignalBounds
 from tauext.data.labels import labels_key, read_labels
 from tauext.data.recording import Recording
 from tauext.files.checkpoint import Checkpoint
@@ -299,6 +299,7 @@ def calibrated(
 def calibration_peaks(bundle: _core.Bundle, motion: LimitMotion) -> tuple[list[Peaks], list[Suspect], LeftOut]:
     """Peaks of the calibration recordings without suspected touches, these suspects, and impossible samples."""
     loaders, folders, left_out = motion.calibration, folders_of(motion.calibration), LeftOut("calibration")
+    not_free = NotFree(motion.margins)
     checkpoint = checkpoint_of(bundle, motion)
     before = (checkpoint and checkpoint.load(list[Peaks])) or []
     done = len(before[0].recordings) if before else 0
@@ -307,6 +308,7 @@ def calibration_peaks(bundle: _core.Bundle, motion: LimitMotion) -> tuple[list[P
 
         def not_done() -> Iterator[Recording]:
             for number, recording in enumerate(counted(bundle, loaders, left_out)):
+                not_free.add([recording])
                 if number >= done:  # the impossible samples of the others are reported again
                     yield recording
                     show(number + 1, len(loaders), "recordings")
@@ -315,6 +317,8 @@ def calibration_peaks(bundle: _core.Bundle, motion: LimitMotion) -> tuple[list[P
         peaks = collect_peaks(bundle, not_done(), holds_s, threads, margins, before, checkpoint)
         suspects = find_suspects(bundle, peaks[-1], lambda number: loaders[number](), labels, threads)
         forget(peaks, suspects)
+    if words := not_free.sentence():
+        motion.note(f"calibration: {words}")
     for words in suspect_sentences(suspects):
         motion.note(words)
     return peaks, suspects, left_out

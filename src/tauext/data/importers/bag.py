@@ -69,7 +69,7 @@ def ros_type(name: str) -> str:
 
 
 def decompressed(data: bytes, codec: str) -> tuple[bytes, bool]:
-    """Decompress zstd, lz4 or bz2 as far as the data is whole, at most the size of a part; returns whether all of it is."""
+    """Decompress zstd, lz4 or bz2 as far as it is whole, at most to the size of a part; also whether all of it is."""
     stream, parts, size = pa.CompressedInputStream(pa.BufferReader(data), codec), list[bytes](), 0
     try:
         while (part := stream.read(1 << 16)) and (size := size + len(part)) <= unpacking.LEAST:

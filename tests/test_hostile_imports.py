@@ -248,3 +248,41 @@ def test_a_joint_name_that_acts_on_a_terminal_is_refused(tmp_path, name):
     path.write_text(f'<robot name="r"><link name="a"/><link name="b"/>\n<joint name="{name}" type="fixed"/></robot>')
     with pytest.raises(RobotError, match=r"line 2: the name 'j\\.*' has characters that cannot be printed"):
         load_tree(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('<replicate count="100000000">{}</replicate>', "<replicate> makes 1e[+]08 copies"),
+        (
+            '<replicate count="1000"><replicate count="1000">{}</replicate></replicate>',
+            "<replicate> makes 1e[+]06 copies",
+        ),
+        ('{}<geom type="hfield" hfield="h"/>', "<hfield> makes 1e[+]10 cells"),
+    ],
+)
+def test_a_robot_file_that_makes_millions_of_parts_is_refused(tmp_path, text, said):
+    body = '<body><joint name="j"/><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/></body>'
+    size = 100_000 if "hfield" in text else 10
+    field = f'<asset><hfield name="h" nrow="{size}" ncol="{size}" size="1 1 1 1"/></asset>'
+    path = tmp_path / "arm.xml"
+    path.write_text(f"<mujoco>{field}<worldbody>\n{text.format(body)}</worldbody></mujoco>")
+    with pytest.raises(RobotError, match=f"line .: {said}; at most"):
+        load_tree(path)
+    path.write_text(f"<mujoco>{field.replace('100000', '10')}<worldbody>\n{body}</worldbody></mujoco>")
+    assert load_tree(path).size == 1
+
+
+def test_groups_in_groups_without_end_are_refused(tmp_path):
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["/".join("g" * 40) + "/q"] = np.ones(100)
+    with pytest.raises(RecordingError, match="groups lie more than 32 deep in each other"):
+        open_raw(tmp_path / "log.h5")
+
+
+def test_a_table_of_far_too_many_columns_is_refused_before_their_names_are_compared(tmp_path):
+    path, count = tmp_path / "log.csv", 21_000
+    rows = [",".join(f"c{k}" for k in range(count)), *[",".join("1" * count)] * 3]
+    path.write_text("\n".join(rows) + "\n")
+    with pytest.raises(RecordingError, match="more than 20,000 columns; an arm has hundreds"):
+        write_template(tmp_path / "arm.toml", (path,), None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import warnings
 from collections.abc import Iterator, Sequence
@@ -115,6 +116,7 @@ def read_mjcf(file: XmlFile) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
         named = element.get("file")
         if named and (beside := file.path.parent / named).exists() and not beside.is_file():
             raise file.error(element, f"<{element.tag} file={named!r}> names no file but a folder, pipe or device")
+    _expect_sizes(file)
     try:
         spec = _mjcf_spec(file)
         return spec, compiled_as_given(spec)
@@ -125,6 +127,33 @@ def read_mjcf(file: XmlFile) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
         strip(spec)
         _expect_meshes(file, spec)
         return spec, compiled_as_given(spec)
+
+
+MOST_COPIES, MOST_CELLS = 10_000, 1 << 26
+"""Copies of a part, and cells of a picture or a height field: a thousandth is usual, and MuJoCo makes any number."""
+
+
+def _expect_sizes(file: XmlFile) -> None:
+    """Raise RobotError where an element makes far more than any robot has."""
+    waiting = [(file.root, 1.0)]
+    while waiting:
+        element, copies = waiting.pop()
+        copies *= math.prod(_numbers(element.get("count")))
+        cells = math.prod(n for name in ("nrow", "ncol", "width", "height") for n in _numbers(element.get(name)))
+        if copies > MOST_COPIES or cells > MOST_CELLS:
+            what, most = (
+                (f"{copies:.3g} copies", MOST_COPIES) if copies > MOST_COPIES else (f"{cells:.3g} cells", MOST_CELLS)
+            )
+            raise file.error(element, f"<{element.tag}> makes {what}; at most {most:,} are read")
+        waiting += [(one, copies) for one in element]
+
+
+def _numbers(text: str | None) -> list[float]:
+    """Numbers above 1 in a text."""
+    try:
+        return [number for one in (text or "").split() if (number := float(one)) > 1]
+    except ValueError:  # MuJoCo names it
+        return []
 
 
 def _mjcf_spec(file: XmlFile) -> mujoco.MjSpec:
@@ -191,7 +220,7 @@ def our_words(file: XmlFile) -> Iterator[None]:
     """Convert MuJoCo's errors to a RobotError that names the file, the line and the rule."""
     try:
         yield
-    except (ValueError, OSError, mujoco.FatalError) as error:
+    except (ValueError, OSError, RuntimeError, mujoco.FatalError) as error:
         raise RobotError(in_our_words(file, str(error))) from error
 
 

@@ -28,6 +28,8 @@ from tauext.files.unpacking import Unpacked, most_unpacked
 
 MOST_WIDE = 64
 """Largest number of elements of a signal a sample."""
+MOST_DEEP = 32
+"""Groups in groups; recorders nest four."""
 
 
 @dataclass(frozen=True)
@@ -424,6 +426,8 @@ class _Walk:
         import h5py
 
         path = tuple(name.split("/"))
+        if len(path) > MOST_DEEP:
+            raise RecordingError(f"{self.file.filename}: groups lie more than {MOST_DEEP} deep in each other")
         if name.startswith("#"):
             return  # internal data of MATLAB objects
         if not self.matlab:

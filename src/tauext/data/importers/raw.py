@@ -15,6 +15,8 @@ import numpy as np
 from tauext.data.recording import Recording
 from tauext.errors import RecordingError
 
+MOST_COLUMNS = 20_000
+"""Columns of all streams: their names are compared with each other."""
 BLOCK_ROWS = 8192
 """Samples in a block: enough for NumPy's speed, few enough for memory."""
 
@@ -119,6 +121,8 @@ class RawRecording:
             quiet = quiet + 1 if sum(map(len, found.values())) == before else 0
             if quiet > 2 * len(found):
                 break
+            if sum(map(len, found.values())) > MOST_COLUMNS:
+                raise RecordingError(f"{self.path}: it has more than {MOST_COLUMNS:,} columns; an arm has hundreds")
         self.counts.clear()
         self.lost.reasons.clear()
         return {stream: tuple(names) for stream, names in found.items()}

@@ -212,6 +212,16 @@ def test_an_impossible_inertia_is_a_fault_where_its_effect_shows(arm, tmp_path, 
     assert re.search(r"exceeds the sum of the others by .* it changes the torque of '\w+' by up to .* Nm", one.evidence)
 
 
+def test_one_factor_at_all_joints_is_a_unit_and_no_payload(arm):
+    """Torques in pound-force feet: less load would explain some of it, and only at some joints."""
+    robot, _, recordings = arm
+    found = examine([replace(one, tau=one.tau / 1.3558) for one in recordings], robot).findings
+    assert "payload" not in {one.code for one in found}
+    (one,) = [one for one in found if one.code == "effort-scale"]
+    assert one.evidence == "effort = 0.738 times the model's torque at all 6 joints that show it"
+    assert "multiply the effort by 1.36, or correct the model" in one.advice
+
+
 def test_the_nearest_possible_inertia_keeps_what_is_possible_and_shares_the_excess():
     for given, nearest in (([1.0, 2.0, 2.5], [1.0, 2.0, 2.5]), ([1.0, 2.0, 3.4], [1.2, 2.2, 3.4])):
         np.testing.assert_allclose(possible_inertia(CarriedBody("l", "j", 5.0, np.array(given))), nearest)

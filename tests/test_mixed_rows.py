@@ -40,6 +40,12 @@ def test_rows_of_two_writers_at_other_rates_alternate():
     assert found is not None and abs(min(map(int, found.groups()[:2])) / int(found[3]) - 0.3) < 0.05
     q[order] = 0.25
     assert "the constant position 0.25, 0.25, 0.25 rad" in alternating(q)
+    q = MOTION + 1.5
+    q[:60] *= np.linspace(0, 1, 60)[
+        :, None
+    ]  # where the arm passes its zero, its rows are nearer to those of the other writer
+    q[1::2] = 0.0
+    assert "one has zeros" in alternating(q)
 
 
 def test_joined_stretches_are_found_where_a_seam_does_not_show_and_spikes_are_none():

@@ -37,7 +37,7 @@ def _scales(x: Examination) -> list[Finding]:
     factors = effort.scale_findings(x, judged)
     loaded = robot_file.payload_of(x, judged) if judged and not found else None
     if loaded is None:
-        return found + factors
+        return found + (factors or ([] if found else effort.common_findings(x, judged)))
     off, before = [x.joints.index(finding.joint or "") for finding in factors], x.tree
     payload, tree = loaded
     x.correct(tree=tree)
@@ -141,7 +141,7 @@ CHECKS = [
     Row(("clock-irregular",), SIGNALS, clock.jitter_findings, quick=True, spoils=True),
     Row(("repeated-rows",), SIGNALS, clock.repeat_findings, quick=True, spoils=True),
     Row(("saturated",), SIGNALS, sensors.saturated_findings, spoils=True),
-    Row(("dead-band",), SIGNALS, sensors.dead_findings, quick=True),
+    Row(("dead-band",), SIGNALS, sensors.dead_findings, quick=True, spoils=True),
     Row(("refresh-slow",), SIGNALS, sensors.refresh_findings),
     Row(("stuck",), SIGNALS, sensors.stuck_findings, quick=True, spoils=True),
     Row(("resolution",), SIGNALS, sensors.coarse_torques, spoils=True),

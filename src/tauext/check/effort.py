@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -290,6 +291,22 @@ def scale_findings(x: Examination, judged: Sequence[int]) -> list[Finding]:
             evidence = "effort = {:.3g} ± {:.1g} times the model's torque".format(*factors[j])
         found.append(Finding("effort-scale", "fault", x.joints[j], evidence, advice))
     return found
+
+
+def common_findings(x: Examination, judged: Sequence[int]) -> list[Finding]:
+    """Finding of one factor at all joints within the range of good torques: models err by other factors at each."""
+    factors = {j: factor for j, (factor, _) in factors_of(x).items() if j in judged}
+    if len(factors) < 3 or max(factors.values()) > 1.05 * min(factors.values()):
+        return []
+    factor = float(np.median(list(factors.values())))
+    if not LOW < factor < HIGH or abs(math.log(factor)) < 0.1:
+        return []
+    evidence = f"effort = {factor:.3g} times the model's torque at all {len(factors)} joints that show it"
+    advice = (
+        f"another unit (a pound-force foot is 1.356 Nm), or masses in the model that are all too "
+        f"{'large' if factor < 1 else 'small'}: multiply the effort by {1 / factor:.3g}, or correct the model"
+    )
+    return [Finding("effort-scale", "warning", None, evidence, advice)]
 
 
 def no_current_findings(x: Examination) -> list[Finding]:

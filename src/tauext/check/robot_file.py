@@ -369,13 +369,17 @@ def fit_load(stretches: Sequence[Stretch], tree: _core.Tree, rows: FitRows) -> L
 def payload_of(x: Examination, strong: Sequence[int]) -> tuple[Finding, _core.Tree] | None:
     """Finding of a load, if it explains the torques of the joints under gravity, and the tree with the load."""
     load, strong = fit_load(x.motion, x.model, x.rows), list(strong)
+    if not strong:
+        return None
     gain = np.log(load.error_without_nm[strong] / load.error_nm[strong]).sum()
     sure = abs(load.mass_kg) > max(LEAST_KG, 5.0 * load.mass_error_kg)
     # [m]; no tool is further out, none weighs less than nothing, and taking one away makes no joint's error larger. One
     # that is added may: the joints before it have errors of their own, which it uncovers.
     possible = np.linalg.norm(load.com_m) <= 0.6 and load.mass_kg + x.model.links[-1].mass > 0
     better = load.mass_kg > 0 or bool((load.error_nm[strong] < 1.05 * load.error_without_nm[strong]).all())
-    if not strong or not sure or gain < 0.5 or not possible or not better:
+    # factors of the torques that leave far less of the errors are the cause
+    factors = np.mean([math.log(load.error_nm[j] / max(x.fits[j].error_nm, 1e-9)) for j in strong]) > 0.5
+    if not sure or gain < 0.5 or not possible or not better or factors:
         return None
     changes = ", ".join(f"'{x.joints[j]}' {load.error_without_nm[j]:.3g} to {load.error_nm[j]:.3g}" for j in strong)
     what, advice = (

@@ -75,11 +75,11 @@ def alternating(q: np.ndarray, rules: MixedRules = MixedRules()) -> str:
 
 
 def _words(q: np.ndarray) -> str:
-    """Positions of one writer in words."""
-    if not q.any():
-        return "zeros"
-    if not np.ptp(q, axis=0).any():
-        return f"the constant position {', '.join(f'{x:.3g}' for x in q[0])} rad"
+    """Positions of one writer in words; where both meet, a few rows may be the other's."""
+    rows, counts = np.unique(q, axis=0, return_counts=True)
+    if counts.max() > 0.9 * len(q):
+        usual = rows[counts.argmax()]
+        return f"the constant position {', '.join(f'{x:.3g}' for x in usual)} rad" if usual.any() else "zeros"
     first = ", ".join(f"{low:.3g} to {high:.3g}" for low, high in zip(q.min(axis=0), q.max(axis=0), strict=True))
     return f"positions of {first} rad"
 

@@ -337,7 +337,7 @@ def test_bags_that_unpack_to_anything_are_refused(tmp_path, monkeypatch, capsys)
     assert "what it unpacks to is no bag" in refusal(capsys, tmp_path / "zeros.db3.zstd")
     with pa.CompressedOutputStream(str(tmp_path / "long.mcap.zstd"), "zstd") as file:
         file.write(b"\x89MCAP0\r\n" + bytes(10_000_000))
-    monkeypatch.setattr("tauext.data.importers.ros.MOST_BYTES", 10_000)
+    monkeypatch.setattr("tauext.files.unpacking.LEAST", 10_000)
     assert "it unpacks to more than" in refusal(capsys, tmp_path / "long.mcap.zstd")
     monkeypatch.setattr("tauext.data.importers.ros.MOST_OF_DISK", 1e-9)
     assert "of what is free in" in refusal(capsys, tmp_path / "long.mcap.zstd")

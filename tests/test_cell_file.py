@@ -16,7 +16,7 @@ def test_the_tables_of_the_pages_are_one_file(tmp_path):
     path.write_text("\n".join(text for page in ("running.md", "contacts.md") for text in Page(page).blocks("toml")))
     cell = load_cell(path, JOINTS)
     names = [reaction.name for reaction in cell.reactions]
-    assert names[:4] == ["stop the arm", "log", "lamp", "open the clamp"] and len(names) == 6
+    assert names[:4] == ["stop the arm", "log", "lamp", "open the clamp"] and len(names) == 5
     assert cell.profiles.named("pressing").collision.tolist() == [1.5, 1.5, 1.5, 2.0]
     assert cell.profiles.start == "normal" and cell.profiles.named("carrying").load.mass == 2.8
     assert list(cell.phases.by_name) == ["sanding", "insertion", "grip"]

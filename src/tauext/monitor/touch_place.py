@@ -306,8 +306,9 @@ def straight_touches(model: PlaceModel, sample: Sample, found: TouchPlaces) -> t
 def strongest_sample(
     joint: int, q: np.ndarray, dq: np.ndarray, tau_ext: np.ndarray, sigma_nm: np.ndarray, contact_sigma_nm: np.ndarray
 ) -> Sample:
-    """The sample with the largest strength() from the joint that raised the alarm on, from arrays (samples, joints)."""
-    row = int(np.argmax(strength(tau_ext, sigma_nm)[:, joint]))
+    """The sample with the largest strength() from the joint that raised the alarm on (-1: unknown, all count), from
+    arrays (samples, joints)."""
+    row = int(np.argmax(strength(tau_ext, sigma_nm)[:, max(joint, 0)]))
     at, tau, sigma, contact, speed = (
         one[row].astype(float).tolist() for one in (q, tau_ext, sigma_nm, contact_sigma_nm, dq)
     )

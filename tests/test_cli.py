@@ -13,6 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+import tauext_lab.sim.collect  # noqa: F401  before RigConfig is a function: classes derive from it
 from made_results import run_command, undrawn
 from tauext_lab.reproduce import SCALES
 from tauext_lab.sim.config import RigConfig

@@ -44,15 +44,21 @@ def fitted_weights(builds_up_m: float) -> np.ndarray:
     return FRICTION_N * found / found.sum()
 
 
-@pytest.mark.parametrize(("builds_up_m", "shows"), [(1.5e-5, False), (6e-4, True)])
-def test_the_truth_lies_within_two_standard_errors_of_a_pressed_joint(builds_up_m, shows):
-    """Friction that builds up within a count of the encoder is hidden; positions show friction that takes a dozen."""
+def bundle_of(builds_up_m: float) -> _core.Bundle:
+    """A slide without a model, with this friction."""
     bundle, prior = observer_bundle(limit_nm=1.0), _core.PriorSettings()
     prior.widths_rad = WIDTHS_M.tolist()
     prior.terms = [_core.Term(_core.TermKind.presliding, 0, width) for width in range(len(WIDTHS_M))]
     prior.weights = (-fitted_weights(builds_up_m)).tolist()
     bundle.links = no_model(prismatic_mass(0.0)).links
     bundle.prior, bundle.error_scale = prior, constant_error_scale([SIGMA_N])
+    return bundle
+
+
+@pytest.mark.parametrize(("builds_up_m", "shows"), [(1.5e-5, False), (6e-4, True)])
+def test_the_truth_lies_within_two_standard_errors_of_a_pressed_joint(builds_up_m, shows):
+    """Friction that builds up within a count of the encoder is hidden; positions show friction that takes a dozen."""
+    bundle = bundle_of(builds_up_m)
     q, friction, push = pressed_joint(builds_up_m, seed=1)
     counted = np.round(q / COUNT_M)[:, None] * COUNT_M
     dq, tau = np.gradient(q, 1e-3)[:, None], (friction - push)[:, None]
@@ -61,4 +67,21 @@ def test_the_truth_lies_within_two_standard_errors_of_a_pressed_joint(builds_up_
     error, found = np.abs(said["tau_ext"][rests, 0] - push[rests]), said["contact_sigma_nm"][rests, 0]
     assert rests.sum() > 0.7 * SAMPLES
     assert np.mean(error <= 2 * found) > 0.95 and np.mean(error <= 2 * SIGMA_N) < 0.7
-    assert (np.median(found) < 0.3 * FRICTION_N) == shows and np.median(found) < 1.3 * FRICTION_N
+    # What positions show may slip under an uneven force: F / sqrt(3) at most.
+    assert (np.median(found) < 0.5 * FRICTION_N) == shows and np.median(found) < 1.3 * FRICTION_N
+
+
+def test_friction_that_slips_while_a_joint_rests_lies_within_two_standard_errors():
+    """A slide stops with its friction behind it, is pressed, and its bristles straighten although it does not move."""
+    seconds = np.arange(SAMPLES) * 1e-3
+    q = 5e-3 * np.minimum(seconds / 3.0, 1.0)
+    friction = FRICTION_N * np.exp(-np.maximum(seconds - 4.0, 0.0) / 1.0)
+    push = np.where(seconds > 3.5, 2.5, 0.0)
+    tau, dq = friction - push, np.gradient(q, 1e-3)
+    q += np.random.default_rng(0).normal(0, 1e-7, SAMPLES)  # an encoder without noise is a fault
+    signals = replace(recording(samples=SAMPLES), q=q[:, None], dq=dq[:, None], tau=tau[:, None]).signals
+    said = _core.estimate(bundle_of(6e-4), *signals, 1)
+    pressed = seconds > 6.0
+    error, found = np.abs(said["tau_ext"][pressed, 0] - push[pressed]), said["contact_sigma_nm"][pressed, 0]
+    assert (said["near_stiction"][pressed, 0] == 1).all()
+    assert error.min() > 3 * SIGMA_N and (error <= 2 * found).all() and found.max() < FRICTION_N

@@ -678,7 +678,7 @@ def test_free_motion_shows_which_friction_has_local_memory(local):
     # The branch is that of a fit with nonlocal memory alone: not quite the true one where half of all reversals are.
     for j, share in enumerate(local):
         assert found.get(j, 0.0) / [-6.0, -3.0][j] == pytest.approx(share, abs=0.35)
-        assert fit.error_nm[j] < (0.6 if share else 1.01) * bank.error_nm[j]
+        assert fit.error_nm[j] < (0.65 if share else 1.01) * bank.error_nm[j]
 
 
 def test_a_width_that_friction_knows_nothing_of_is_left_out_and_one_that_it_needs_is_kept():

@@ -39,6 +39,11 @@ double ContactErrors::hidden(std::size_t joint, const Friction& friction) const 
   return unseen_[joint] * unseen_[joint] * (expected * expected + largest * largest / 3);
 }
 
+double ContactErrors::slipped(std::size_t joint, const Friction& friction) const noexcept {
+  const double expected = friction.coulomb.empty() ? 0.0 : friction.coulomb[joint];
+  return (1 - unseen_[joint] * unseen_[joint]) * expected * expected / 3;
+}
+
 void ContactErrors::find_hidden(std::uint32_t near_stiction, const Friction& friction) noexcept {
   for (int j = 0; j < joints_; ++j)
     if (near_stiction >> j & 1) hidden_[j] = hidden(static_cast<std::size_t>(j), friction);
@@ -65,7 +70,7 @@ void ContactErrors::step(std::int64_t t_ns, std::uint32_t near_stiction, bool to
     s.tau_ext[j] = tau_ext[at];
     if (std::fabs(tau_ext[at]) > kNoticed * sigma_nm[at]) s.pressed |= std::uint32_t{1} << j;
     const bool pressed = (s.pressed & near_stiction) >> j & 1;
-    const double of_rest = pressed ? hidden(at, friction) : 0.0;
+    const double of_rest = pressed ? hidden(at, friction) + slipped(at, friction) : 0.0;
     const double unsure = pressed && !memory_gap.empty() ? unsure_nm_[j] * memory_gap[at] : 0.0;
     const double of_torque = s.touched * of_torque_[j] * tau_ext[at], lag = s.touched * s.rate[j] / gain_per_s_;
     into[at] = std::sqrt(sigma_nm[at] * sigma_nm[at] + of_rest + unsure * unsure + of_torque * of_torque + lag * lag);

@@ -12,16 +12,17 @@ struct Bundle;
 // The standard error of tau_ext in free motion, and the errors that a contact brings:
 //
 //   contact_sigma_j^2 = sigma_j^2 + hidden_j^2 + (unsure_j P_j gap_j)^2 + (rubbing_j^2 + constant_j^2) tau_ext_j^2
-//                       + (|d tau_ext_j / dt| / K0)^2,    hidden_j^2 = unseen_j^2 (p_j^2 + F_j^2 / 3)
+//                       + (|d tau_ext_j / dt| / K0)^2,    hidden_j^2 = unseen_j^2 (p_j^2 + F_j^2 / 3) + (1 - unseen_j^2) p_j^2 / 3
 //
 // The friction of a stuck joint is anything within +-F_j: its friction at rest, and the share of the drive's torque by which gear
 // friction grows with the load. The prior expects p_j. Where positions show nothing of the friction, 2 sqrt(p^2 + F^2 / 3) >=
 // |p| + F covers every truth. unseen_j, the share that positions do not show, is the narrowest presliding width over the turning
-// travel, at most 1. Local and nonlocal memory of the presliding friction P_j differ by P_j gap_j (Presliding), of which the
-// share unsure_j is in doubt. Both terms count for a joint that rests since a contact, or at rest exceeds kNoticed sigma, until it
-// slides. Gear friction grows by the share rubbing_j of a load; constant_j is the relative error of the torque constant
-// (WrenchSettings). The last term is the lag of the observer, whose residual is 1/K0 late. The last two terms count during the
-// contact and fade with 1/K0.
+// travel, at most 1. An uneven force leaves anything between p and 0 of what they show, since bristles slip a little under any
+// force (LuGre); declared contacts are judged without this part. Local and nonlocal memory of the presliding friction P_j differ
+// by P_j gap_j (Presliding), of which the share unsure_j is in doubt. These terms count for a joint that rests since a contact,
+// or at rest exceeds kNoticed sigma, until it slides. Gear friction grows by the share rubbing_j of a load; constant_j is the
+// relative error of the torque constant (WrenchSettings). The last term is the lag of the observer, whose residual is 1/K0 late.
+// The last two terms count during the contact and fade with 1/K0.
 //
 // The result is for reports only. Limits, drift trackers and weighing use sigma, which no torque can raise.
 class ContactErrors {
@@ -74,6 +75,7 @@ class ContactErrors {
 
  private:
   double hidden(std::size_t joint, const Friction& friction) const noexcept;  // variance, [N m]^2
+  double slipped(std::size_t joint, const Friction& friction) const noexcept;  // the part of an uneven force, [N m]^2
 
   int joints_;
   double gain_per_s_;

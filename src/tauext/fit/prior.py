@@ -444,7 +444,7 @@ def find_inertia(
     fit = fit_terms(setup, recordings, config, nothing, inertia)
     inertia = replace(inertia, load=CORRECTED, loads=tuple(fit.settings.corrected_links))
     fit = fit_terms(setup, recordings, config, nothing, inertia)
-    rms = np.sqrt(np.maximum(fit.regression.whole.energy / fit.regression.whole.rows, LEAST_SQUARE))
+    rms = np.maximum(fit.regression.target_rms, np.sqrt(LEAST_SQUARE))
     with_arm, without = (float(np.sqrt(np.mean((one.error_nm / rms) ** 2))) for one in (fit, basis))
     report(f"error on left-out motion: {with_arm:.1%} of r with the arm found, {without:.1%} with sines and cosines")
     return (Inertia(), basis) if (1 - costs) * with_arm > without else (inertia, fit)

@@ -13,7 +13,7 @@ from tauext.data.recording import Recording
 from tauext.errors import TrainingError
 from tauext.fit.find_kinematics import ArmSearch
 from tauext.fit.links import bound_links, fix_impossible, solve_possible
-from tauext.fit.prior_terms import LeftOut, PriorFit
+from tauext.fit.prior_terms import LeftOut, PriorFit, has_model
 from tauext.fit.regression import FOLDS, NormalEquations, Regression
 from tauext.fit.training_set import Setup
 from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial_parameters
@@ -26,7 +26,8 @@ BLOCK = 2048
 
 RESTING_WEIGHT = 0.1
 """Weight of a sample in which the joint does not exceed ArmSearch.moves_rad_s. Static friction holds any part of the
-load, for as long as the rest lasts: a rest's samples repeat one error, whose share in the fit grew with its length."""
+load, for as long as the rest lasts: a rest's samples repeat one error, whose share in the fit grew with its length.
+Without a model they count fully: gravity itself is to be found, and a servo's play shows at rest."""
 
 
 @dataclass(frozen=True)
@@ -58,10 +59,10 @@ def fit_ridge(
         minimise  sum_i |r_i - X_i w_i - Z_i theta|^2 / s_i^2 + lambda rows |(w, theta) scaled|^2
 
     w_i: weights of joint i's own friction terms; theta: corrections of the model, common to all joints (without a
-    model: gravity and inertia terms, one set of weights a joint). A sample of a joint at rest counts RESTING_WEIGHT in
-    these sums, and fully in the cross-validation over recordings that chooses lambda. Columns are scaled to unit RMS,
-    s_i is the RMS of r_i. A coefficient's standard error comes from leaving out one part of the recordings after the
-    other (jackknife).
+    model: gravity and inertia terms, one set of weights a joint). With a model, a sample of a joint at rest counts
+    RESTING_WEIGHT in these sums, and fully in the cross-validation over recordings that chooses lambda. Columns are
+    scaled to unit RMS, s_i is the RMS of r_i. A coefficient's standard error comes from leaving out one part of the
+    recordings after the other (jackknife).
 
     Args:
         local_memory_nm: the presliding friction of each joint, (n,), which bounds the part of it that has local memory.
@@ -70,8 +71,9 @@ def fit_ridge(
         TrainingError: no recording is longer than the observer's warm-up.
     """
     found = gather(setup, recordings, regressors)
-    weighted = [whole + resting.times(RESTING_WEIGHT - 1) for whole, resting, _ in found]
-    regression = Regression(weighted, [whole for whole, _, _ in found])
+    whole = [one for one, _, _ in found]
+    weighted = [one + rest.times(RESTING_WEIGHT - 1) for one, rest, _ in found] if has_model(setup) else whole
+    regression = Regression(weighted, whole)
     for m, term in enumerate(term for group in regressors.own for term in group):
         if term.kind == _core.TermKind.local_memory:  # r shows minus the friction
             regression.bound(np.array([m]), np.array([-local_memory_nm[term.a]]), np.array([0.0]))

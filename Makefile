@@ -55,7 +55,8 @@ test-all: build ## The long part of .ci/run: every Python, wheels, slow tests, s
 	$(RUN) VENV=$(VENV) BUILD=$(BUILD) $(VENV)/bin/python tests/long_part.py $(PARTS)
 benches: build ## The C++ benchmarks and the soak
 	$(RUN) cmake --build $(BUILD)/cpp --target benches
-lint: setup ## Style and types of the Python code
+lint: setup ## Style and types of the Python code; fills in the numbers and tables of docs that have changed
+	$(VENV)/bin/python docs/fill.py
 	$(VENV)/bin/ruff check src tests benchmarks examples docs wheels packages
 	$(VENV)/bin/ruff format --check src tests benchmarks examples docs wheels packages
 	$(VENV)/bin/mypy

@@ -17,7 +17,7 @@ from tauext.cli.commands import all_commands
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 sys.path[:0] = [str(DOCS), str(DOCS / "_extensions")]
-check_site, cli_pages, cpp_pages, python_page, root_pages, rst_text, made_pages, result_numbers, paper_tables = (
+check_site, cli_pages, cpp_pages, python_page, root_pages, rst_text, made_pages, fill, paper_tables = (
     importlib.import_module(name)
     for name in (
         "check_site",
@@ -27,7 +27,7 @@ check_site, cli_pages, cpp_pages, python_page, root_pages, rst_text, made_pages,
         "root_pages",
         "rst_text",
         "made_pages",
-        "result_numbers",
+        "fill",
         "paper_tables",
     )
 )
@@ -145,53 +145,68 @@ RESULTS = {
 }
 
 
+@pytest.fixture
+def results(tmp_path):
+    (tmp_path / "r.json").write_text(json.dumps(RESULTS))
+    return tmp_path
+
+
 @pytest.mark.parametrize(
-    ("text", "shown"),
+    ("source", "shown"),
     [
         ("steps", "186500"),
         ("steps|,d", "186,500"),
+        (r"counts\|.1f\| of ", "471.0 of 500.0 of 0.0"),
         ("bundles[name=a].l1_nm|.2f|/", "0.31/−0.13"),
-        ("bundles[1].l1_nm[0] over bundles[name=a].l1_nm[0]|.1f", "2.0"),
-        ("counts[0] of counts[1]|.1%", "91.8 to 96.1%"),
-        ("counts[1] of counts[1]|.1%", "99.3 to 100.0%"),
-        ("counts[2] of counts[1]|.1%", "0.0 to 0.7%"),
+        ("bundles[1].l1_nm[0]|.1%", "62.8%"),
     ],
 )
-def test_a_number_is_read_from_its_results_file(text, shown):
-    assert result_numbers.number(f"results.json#{text}", {"results.json": RESULTS}.__getitem__) == shown
+def test_a_number_is_read_from_its_results_file(results, source, shown):
+    stale = f"It has 1,0.2/−3%<!-- r.json#{source} --> (<!-- r.json#steps -->) <!-- no source -->."
+    new = f"It has {shown}<!-- r.json#{source} --> (186500<!-- r.json#steps -->) <!-- no source -->."
+    assert fill.filled(stale, results) == new
 
 
 @pytest.mark.parametrize(
-    ("text", "problem"),
+    ("source", "problem"),
     [
         ("gone.json#steps", "gone.json cannot be read"),
-        ("steps", "no path"),
-        ("results.json#gone", "'gone' in 'gone' does not select one value"),
-        ("results.json#bundles[name=c].l1_nm[0]", r"'\[name=c\]'"),
-        ("results.json#bundles[2]", r"'\[2\]'"),
-        ("results.json#bundles[0", r"cannot parse '\[0'"),
-        ("results.json#bundles[0].name", "'a' is not a number"),
-        ("results.json#bundles[1].l1_nm|.2f|/", "None is not a number"),
-        ("results.json#bundles[0].l1_nm|.2f", r"is not a number"),
-        ("results.json#steps|.2f|/", "is no list"),
-        ("results.json#steps|x.y", "format 'x.y' does not fit"),
-        ("results.json#steps over bundles[0].name", "no quotient"),
+        ("r.json#gone", "'gone' in 'gone' does not select one value"),
+        ("r.json#bundles[name=c].l1_nm[0]", r"'\[name=c\]'"),
+        ("r.json#bundles[2]", r"'\[2\]'"),
+        ("r.json#bundles[0", r"cannot parse '\[0'"),
+        ("r.json#bundles[0].name", "'a' is not a number"),
+        ("r.json#bundles[1].l1_nm|.2f|/", "None is not a number"),
+        ("r.json#bundles[0].l1_nm|.2f", r"is not a number"),
+        ("r.json#steps|.2f|/", "is no list"),
+        ("r.json#steps|x.y", "format 'x.y' does not fit"),
     ],
 )
-def test_a_role_without_its_number_stops_the_build(tmp_path, text, problem):
-    (tmp_path / "results.json").write_text(json.dumps(RESULTS))
-    with pytest.raises(result_numbers.NumberError, match=problem):
-        result_numbers.number(text, lambda name: result_numbers.load_once(tmp_path / name))
+def test_a_number_without_its_source_is_refused(results, source, problem):
+    with pytest.raises(fill.FillError, match=problem):
+        fill.filled(f"1<!-- {source} -->", results)
 
 
-def test_numbers_of_every_page_are_in_their_results_files():
-    for page in DOCS.rglob("*.md"):
-        for text in re.findall(r"\{num\}`([^`]+)`", page.read_text()):
-            result_numbers.number(text.replace(r"\|", "|"), lambda name: result_numbers.load_once(DOCS / name))
+def test_tables_and_code_below_their_comments_are_replaced():
+    assert "| Old |" not in (page := fill.filled("<!-- table: delays -->\n| Old |\n| x |\n\nText | with a bar\n"))
+    assert page.endswith("|\n\nText | with a bar\n") and page.count("\n| exact | paper | 2, 3, 1, 3, 0,") == 1
+    comment = "<!-- code: examples/04_plugin/my_log.py | def open_log | def find_clipped -->\n"
+    rest = "\n```text\nkept\n```\n"
+    page = fill.filled(f"{comment}```python\nold\n```\n{rest}")
+    assert page.startswith(f"{comment}```python\ndef open_log(") and "\ndef find_clipped" not in page
+    assert page.endswith(f"\n```\n{rest}") and fill.filled(page) == page == fill.filled(comment) + rest
+    for wrong in ("table: gone", "code: README.md | gone", "code: examples/04_plugin/my_log.py | def open_log | gone"):
+        with pytest.raises(fill.FillError, match="gone"):
+            fill.filled(f"<!-- {wrong} -->\n")
+
+
+@pytest.mark.parametrize("page", fill.pages(), ids=lambda page: page.name)
+def test_numbers_tables_and_code_of_a_page_are_those_of_their_sources(page):
+    assert fill.filled(page.read_text()) == page.read_text(), "run make lint"
 
 
 def test_the_papers_tables_have_a_row_for_every_case_and_recipe():
-    results = paper_tables.load("full")
+    results = paper_tables.load("full/results")
     table, delays = paper_tables.table_1(results), paper_tables.delays(results)
     assert [line.split(" | ")[:2] for line in table[2:]] == [line.split(" | ")[:2] for line in delays[2:]]
     assert table[2].startswith("| exact | paper | 0.431/0.186 | 0.402/0.262 |") and len(table) == 7

@@ -1,9 +1,10 @@
-"""Tables of the paper's page and of its results at two scales, made from their results.json."""
+"""Tables of the paper's page, made from results.json of two scales and from seeds.json."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,9 @@ RECIPES = ("paper", "dense")
 ORDER = list(paper.L1_NM)
 
 
-def load(scale: str) -> dict[str, Any]:
-    return json.loads((DOCS / "results" / scale / "results.json").read_text())
+def load(name: str) -> Any:
+    """Content of results/NAME.json."""
+    return json.loads((DOCS / "results" / f"{name}.json").read_text())
 
 
 def table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
@@ -128,14 +130,56 @@ def everything(results: dict[str, Any]) -> list[str]:
     return table(columns, rows)
 
 
-def write(app: Any) -> None:
-    full, quick = load("full"), load("quick")
+def seeds(measured: list[dict[str, Any]]) -> list[str]:
+    """Errors of every case at 100 Hz beside the paper's, and at 1 kHz: mean of the seeds and their range."""
+    columns = ["model", "seeds", "L1, N m", "paper", "L2, N m", "paper", "MSE, (N m)²", "paper", "L1 at 1 kHz, N m"]
+    rows = []
+    for case in ORDER:
+        mine = [one for one in measured if one["case"] == case]
+        row = [case, len(mine)]
+        for key, theirs in (("l1", paper.L1_NM), ("l2", paper.L2_NM), ("mse", paper.MSE_NM2)):
+            row += [mean_and_range([one[key] for one in mine]), joined(theirs[case])]
+        rows.append([*row, mean_and_range([one["l1_1khz"] for one in mine])])
+    return table(columns, rows)
+
+
+def mean_and_range(values: list[list[float]]) -> str:
+    """Of (seeds, joints)."""
+    mean, low, high = np.mean(values, axis=0), np.min(values, axis=0), np.max(values, axis=0)
+    return f"{joined(mean)} ({joined(low)} to {joined(high)})"
+
+
+def each_seed(measured: list[dict[str, Any]]) -> list[str]:
+    """Errors, thresholds, false alarms and detected collisions of every case and seed."""
+    columns = ["model", "seed", "RMSE near stiction, N m", "sliding, N m", "threshold sliding, N m"]
+    columns += ["false alarms", "detected by one sample"]
+    rows = []
+    for one in measured:
+        false, detected, of = one["counts"]
+        errors = [joined(one[key], ".2f") for key in ("near", "sliding", "limit")]
+        rows.append([one["case"], one["seed"], *errors, f"{false:.0f}", f"{detected:.0f} of {of:.0f}"])
+    return table(columns, rows)
+
+
+@cache
+def tables() -> dict[str, list[str]]:
+    """The lines of each table by its name."""
+    full, quick, measured = load("full/results"), load("quick/results"), load("full/seeds")
     dense = {"bundles": [bundle for bundle in quick["bundles"] if bundle["recipe"] == "dense"]}
-    write_page("paper/table-1.inc", [*table_1(full), *table_1(dense)[2:]])
-    write_page("paper/delays.inc", delays(full))
-    write_page("paper/delays-joint-1.inc", delays(full, joint=0))
-    write_page("paper/full.inc", everything(full))
-    write_page("paper/quick.inc", everything(quick))
+    return {
+        "table-1": [*table_1(full), *table_1(dense)[2:]],
+        "seeds": seeds(measured),
+        "each-seed": each_seed(measured),
+        "full": everything(full),
+        "quick": everything(quick),
+        "delays-joint-1": delays(full, joint=0),
+        "delays": delays(full),
+    }
+
+
+def write(app: Any) -> None:
+    for name, lines in tables().items():
+        write_page(f"paper/{name}.inc", lines)
 
 
 def setup(app: Any) -> dict[str, bool]:

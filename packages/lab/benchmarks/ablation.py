@@ -4,7 +4,7 @@
 
 DATA is a dataset of `tauext simulate` with calibration and test hours. Recordings are reduced to RATE_HZ (positions and
 speeds of every fifth sample, the torque's mean over the step), so that an hour costs a fifth. What OUT holds already is
-not repeated; docs/results/comparison holds the tables.
+not repeated; OUT gets tables.md.
 
 Each estimator is trained once. Its output on a recording is computed once and judged by three kinds of limits: the
 largest error on validation motion and no hold time [Lim2021]; a constant for a promised rate; one that follows the
@@ -23,7 +23,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 
-from common import ROOT, arguments, checkpoint, head, in_parallel, joined, share_interval, table_row, tauext, write_page
+from common import arguments, checkpoint, head, in_parallel, joined, share_interval, table_row, tauext, write_tables
 from tauext_lab.evaluate.collisions import find_collisions
 from tauext_lab.evaluate.free_motion import FreeMotionErrors
 from tauext_lab.evaluate.missed_curve import MissedCurve
@@ -288,7 +288,7 @@ def main() -> None:
     out, data = options.out, options.out / "data"
     reduce_dataset(options.data, data, *options.hours)
     in_parallel(options.workers, run, [(job, data, out, options.paper) for job in jobs(options.models, options.seeds)])
-    write_page(ROOT / "docs/results/comparison/ablation.inc", tables(out, options.models))
+    write_tables(out, tables(out, options.models))
 
 
 if __name__ == "__main__":

@@ -2,9 +2,10 @@
 
     python packages/lab/benchmarks/mocca.py DATA OUT [--keep]
 
-DATA is the folder of collisions.csv and no_model_network/ (tauext_lab/bench/mocca_recording.py). OUT gets bundles and a
-dataset of the segments; --keep writes docs/results/mocca. A recipe is trained without one segment and tested on it, for
-each segment in turn. Nothing of DATA is written into the repository but figures and numbers.
+DATA is the folder of collisions.csv and no_model_network/ (tauext_lab/bench/mocca_recording.py). OUT gets bundles, a
+dataset of the segments and tables.md; --keep writes the figures of docs/results/mocca. A recipe is trained without one
+segment and tested on it, for each segment in turn. Nothing of DATA is written into the repository but figures and
+numbers.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from matplotlib import pyplot as plt
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 
-from common import ROOT, arguments, error_cells, estimates, head, joined, runs, share_interval, table_row, write_page
+from common import ROOT, arguments, error_cells, estimates, head, joined, runs, share_interval, table_row, write_tables
 from tauext_lab.bench.mocca_recording import MARGINS, ONSETS_S, RATE_HZ, Segment, nominal_tree, read_segments, recording
 from tauext_lab.own_network import load_network
 from tauext_lab.report.style import CONTACT, DPI, OBSERVER, OBSERVER_WIDTH, RC, WIDTH_IN
@@ -300,7 +301,7 @@ def figure_7(segments: list[Segment], dataset: Dataset, bundles: dict[str, list[
 
 def main() -> None:
     parser = arguments(__doc__, "data", "out")
-    parser.add_argument("--keep", action="store_true", help="write docs/results/mocca")
+    parser.add_argument("--keep", action="store_true", help="write the figures of docs/results/mocca")
     options = parser.parse_args()
     data, out = options.data, options.out
     page = PAGE if options.keep else out / "page"
@@ -313,8 +314,7 @@ def main() -> None:
     figure_5(segments, dataset, out, page / "figure-5.png")
     both = {"the authors' network, K0 = 5 1/s": [bundle] * len(segments), "recipe prior, K0 = 20 1/s": kept["none"]}
     figure_7(segments, dataset, both, page / "figure-7.png")
-    write_page(page / "authors.inc", authors)
-    write_page(page / "recipes.inc", recipes)
+    write_tables(out, [*authors, "", *recipes])
 
 
 if __name__ == "__main__":

@@ -2,10 +2,10 @@
 
     python packages/lab/benchmarks/paper_seeds.py OUT [--cases exact none] [--seeds 0 1 2] [--max-steps N]
 
-OUT/data is the dataset of `tauext reproduce --scale full`. A bundle that OUT/bundles holds is not trained again. What
-was measured is kept in docs/results/full/seeds.json, so that pages can be made from bundles of several machines. Errors
-are those of test motion at 100 Hz, as in the paper, and at 1 kHz, as a monitor answers. A collision counts by a sample
-over the limit, since the paper states no hold time.
+OUT/data is the dataset of `tauext reproduce --scale full`. Bundles in OUT/bundles are not trained again.
+docs/results/full/seeds.json keeps what was measured, so that bundles can be of several machines; docs/fill.py makes the
+tables. Errors are those of test motion at 100 Hz, as in the paper, and at 1 kHz, as a monitor answers. A collision
+counts by a sample over the limit, since the paper states no hold time.
 """
 
 from __future__ import annotations
@@ -18,10 +18,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 
-from common import ROOT, arguments, head, in_parallel, joined, table_row, tauext, write_page
+from common import ROOT, arguments, in_parallel, save_json, tauext
 from tauext_lab.evaluate.collisions import find_collisions, judge
 from tauext_lab.evaluate.free_motion import count_episodes
-from tauext_lab.report.paper import L1_NM, L2_NM, MSE_NM2
 
 from tauext.bundle.bundle_file import load_bundle
 from tauext.config import PAPER_CASES
@@ -29,7 +28,7 @@ from tauext.data.dataset import load_split
 from tauext.data.recording_file import load_recording
 from tauext.monitor.estimate import estimate_recording
 
-PAGE = ROOT / "docs/results/full/seeds.inc"
+KEPT = ROOT / "docs/results/full/seeds.json"
 PAPER_STEP = 10
 """Samples from one row of the paper's data to the next."""
 STICTION_RAD_S = 0.02
@@ -72,48 +71,14 @@ def measured(bundle_path: Path, data: Path) -> dict[str, np.ndarray]:
 Measures = dict[tuple[str, int], dict[str, np.ndarray]]
 
 
-def kept(new: Measures) -> Measures:
-    """What was measured now or before, by case and seed; it is written to the file of all measures."""
-    file = PAGE.with_suffix(".json")
-    listed = json.loads(file.read_text()) if file.is_file() else []
-    found = {(one.pop("case"), one.pop("seed")): {key: np.array(value) for key, value in one.items()} for one in listed}
-    found |= {key: {name: np.round(value.astype(float), 3) for name, value in one.items()} for key, one in new.items()}
-    found = {key: found[key] for key in sorted(found, key=lambda key: (list(PAPER_CASES).index(key[0]), key[1]))}
-    entries = [
-        {"case": case, "seed": seed} | {name: value.tolist() for name, value in one.items()}
-        for (case, seed), one in found.items()
-    ]
-    write_page(file, ["[", *(f"{json.dumps(one)}{',' * (one is not entries[-1])}" for one in entries), "]"])
-    return found
-
-
-def mean_and_range(values: np.ndarray, form: str = ".3f") -> str:
-    """Seeds' mean of each joint, and the range where there are several."""
-    mean = joined(values.mean(axis=0), form, "/")
-    if len(values) == 1:
-        return mean
-    return f"{mean} ({joined(values.min(axis=0), form, '/')} to {joined(values.max(axis=0), form, '/')})"
-
-
-def page(found: Measures) -> list[str]:
-    cases = [case for case in PAPER_CASES if any(case == key[0] for key in found)]
-    columns = "model | seeds | L1, N m | paper | L2, N m | paper | MSE, (N m)² | paper | L1 at 1 kHz, N m"
-    lines = head(columns)
-    for case in cases:
-        seeds = [one for (name, _), one in found.items() if name == case]
-        stacked = {key: np.array([one[key] for one in seeds]) for key in seeds[0]}
-        cells = [case, len(seeds)]
-        for key, paper in (("l1", L1_NM), ("l2", L2_NM), ("mse", MSE_NM2)):
-            cells += [mean_and_range(stacked[key]), joined(paper[case], ".3f", "/")]
-        lines.append(table_row(*cells, mean_and_range(stacked["l1_1khz"])))
-    columns = "model | seed | RMSE near stiction, N m | sliding, N m | threshold sliding, N m"
-    columns += " | false alarms | detected by one sample"
-    lines += ["", *head(columns)]
-    for (case, seed), one in found.items():
-        false, detected, of = one["counts"]
-        cells = [joined(one[key], ".2f", "/") for key in ("near", "sliding", "limit")]
-        lines.append(table_row(case, seed, *cells, int(false), f"{int(detected)} of {int(of)}"))
-    return lines
+def keep(new: Measures) -> None:
+    """Write the file of all measures, by case and seed: what was measured now, and before."""
+    listed = json.loads(KEPT.read_text()) if KEPT.is_file() else []
+    found = {(one["case"], one["seed"]): one for one in listed}
+    for (case, seed), one in new.items():
+        rounded = {name: np.round(value.astype(float), 3).tolist() for name, value in one.items()}
+        found[case, seed] = {"case": case, "seed": seed} | rounded
+    save_json([found[key] for key in sorted(found, key=lambda key: (list(PAPER_CASES).index(key[0]), key[1]))], KEPT)
 
 
 def main() -> None:
@@ -135,7 +100,7 @@ def main() -> None:
                 tauext("train", "--data", data, *words, "--out", bundle, printed=out / f"{case}-{seed}.log")
             bundles[case, seed] = bundle
     measures = in_parallel(None, measured, [(bundle, data) for bundle in bundles.values()])
-    write_page(PAGE, page(kept(dict(zip(bundles, measures, strict=True)))))
+    keep(dict(zip(bundles, measures, strict=True)))
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """Settings of the documentation site: `make docs` builds it, with warnings as errors."""
 
+import re
 import shutil
 import sys
 from importlib.metadata import version as version_of
@@ -21,7 +22,28 @@ def copy_reports(app, error):
             shutil.copyfile(report, target)
 
 
+CONTENTS = {}
+"""Pages below a page, by the captions of the menu; pages of a folder are in the order of their names."""
+HEADER = re.compile(r"\]\((?:\.\./)+cpp/include/tauext/(\w+)\.(hpp|h)\)")
+
+
+def add_contents(app, name, source):
+    """Adds what only Sphinx reads and no page shows in the repository.
+
+    These are contents, the index of a reference that is made from the code, and links to the pages of headers in place
+    of the headers.
+    """
+    made = Path(app.srcdir) / "reference" / "made"
+    if name.startswith("reference/") and (made / f"{Path(name).name}.inc").exists() and "{include}" not in source[0]:
+        source[0] += f"\n```{{include}} made/{Path(name).name}.inc\n```\n"
+    for caption, pages in CONTENTS.get(name, {}).items():
+        lines = [":hidden:", ":glob:", f":caption: {caption}" if caption else "", "", *pages.split()]
+        source[0] += "\n```{toctree}\n" + "\n".join(lines) + "\n```\n"
+    source[0] = HEADER.sub(lambda to: f"](/reference/made/cpp/{to[1] if to[2] == 'hpp' else 'c'}.md)", source[0])
+
+
 def setup(app):
+    app.connect("source-read", add_contents)
     app.connect("build-finished", copy_reports)
 
 

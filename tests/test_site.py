@@ -17,7 +17,7 @@ from tauext.cli.commands import all_commands
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 sys.path[:0] = [str(DOCS), str(DOCS / "_extensions")]
-check_site, cli_pages, cpp_pages, python_page, root_pages, rst_text, made_pages, fill, paper_tables = (
+check_site, cli_pages, cpp_pages, python_page, root_pages, rst_text, made_pages, fill, paper_tables, conf = (
     importlib.import_module(name)
     for name in (
         "check_site",
@@ -29,6 +29,7 @@ check_site, cli_pages, cpp_pages, python_page, root_pages, rst_text, made_pages,
         "made_pages",
         "fill",
         "paper_tables",
+        "conf",
     )
 )
 
@@ -224,11 +225,14 @@ def test_delays_of_joint_one_leave_out_collisions_that_it_does_not_show():
 
 
 def test_every_page_is_in_the_contents():
-    listed: set[Path] = set()
+    entries = [
+        (name, entry) for name, menu in conf.CONTENTS.items() for part in menu.values() for entry in part.split()
+    ]
     for page in DOCS.rglob("*.md"):
         for tree in re.findall(r"```\{toctree\}\n(.*?)```", page.read_text(), re.DOTALL):
-            entries = [line for line in tree.splitlines() if line and not line.startswith(":")]
-            listed |= {path.resolve() for entry in entries for path in page.parent.glob(f"{entry}.md")}
+            name = page.relative_to(DOCS).with_suffix("").as_posix()
+            entries += [(name, line) for line in tree.splitlines() if line and not line.startswith(":")]
+    listed = {found.resolve() for name, entry in entries for found in (DOCS / name).parent.glob(f"{entry}.md")}
     for page in DOCS.rglob("*.md"):
         name = page.relative_to(DOCS).with_suffix("").as_posix()
         if not name.startswith("reference/made/") and name != "index":

@@ -190,7 +190,7 @@ def test_a_number_without_its_source_is_refused(results, source, problem):
 
 def test_tables_and_code_below_their_comments_are_replaced():
     assert "| Old |" not in (page := fill.filled("<!-- table: delays -->\n| Old |\n| x |\n\nText | with a bar\n"))
-    assert page.endswith("|\n\nText | with a bar\n") and page.count("\n| exact | paper | 2, 3, 1, 3, 0,") == 1
+    assert page.endswith("|\n\nText | with a bar\n") and page.count("\n| exact | 2,\u00a03,\u00a01,") == 1
     comment = "<!-- code: examples/04_plugin/my_log.py | def open_log | def find_clipped -->\n"
     rest = "\n```text\nkept\n```\n"
     page = fill.filled(f"{comment}```python\nold\n```\n{rest}")
@@ -209,9 +209,11 @@ def test_numbers_tables_and_code_of_a_page_are_those_of_their_sources(page):
 def test_the_papers_tables_have_a_row_for_every_case_and_recipe():
     results = paper_tables.load("full/results")
     table, delays = paper_tables.table_1(results), paper_tables.delays(results)
-    assert [line.split(" | ")[:2] for line in table[2:]] == [line.split(" | ")[:2] for line in delays[2:]]
+    assert [line.split(" | ")[0] for line in table[2:]] == [line.split(" | ")[0] for line in delays[2:]]
     assert table[2].startswith("| exact | paper | 0.431/0.186 | 0.402/0.262 |") and len(table) == 7
-    assert delays[2].startswith("| exact | paper | 2, 3, 1, 3, 0, 2, −2, 7, 2, 2 | 2.0 | 107 of 200 |")
+    assert delays[2].startswith(
+        "| exact | 2,\u00a03,\u00a01,\u00a03,\u00a00,\u00a02,\u00a0−2,\u00a07,\u00a02,\u00a02 | 2.0 | 107 of 200 |"
+    )
 
 
 def test_delays_of_joint_one_leave_out_collisions_that_it_does_not_show():
@@ -220,8 +222,8 @@ def test_delays_of_joint_one_leave_out_collisions_that_it_does_not_show():
     collisions = [dict(zip(keys, (str(k), *verdict), strict=True)) for k, verdict in enumerate(verdicts)]
     bundle = {"case": "exact", "recipe": "paper", "collisions": collisions}
     results = {"bundles": [bundle], "ten_collisions": ["0", "2"]}
-    assert paper_tables.delays(results, joint=0)[2] == "| exact | paper | 10 | 10.0 | 2 of 3 | 0.0 | −9 to 9 | 10 |"
-    assert paper_tables.delays(results)[2] == "| exact | paper | 10, −10 | 0.0 | 3 of 3 | 0.0 | −9 to 9 | 10 |"
+    assert paper_tables.delays(results, joint=0)[2] == "| exact | 10 | 10.0 | 2 of 3 | 0.0 | −9\u00a0to\u00a09 | 10 |"
+    assert paper_tables.delays(results)[2] == "| exact | 10,\u00a0−10 | 0.0 | 3 of 3 | 0.0 | −9\u00a0to\u00a09 | 10 |"
 
 
 def test_every_page_is_in_the_contents():

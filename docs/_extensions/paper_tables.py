@@ -65,19 +65,19 @@ def delays(results: dict[str, Any], joint: int | None = None) -> list[str]:
 
     joint: this joint's own; without it, those of the first joint that exceeds its threshold.
     """
-    columns = ["model", "recipe", "each of the ten, ms", "median of the ten, ms"]
+    columns = ["model, recipe paper", "each of the ten, ms", "median of the ten, ms"]
     columns += ["all: both over the threshold", "median, ms", "5 % to 95 %, ms", "largest, ms"]
     rows = []
-    for bundle in by_recipe(results):
+    for bundle in by_recipe({"bundles": [one for one in results["bundles"] if one["recipe"] == "paper"]}):
         delay_ms = {verdict["id"]: delay_of(verdict, joint) for verdict in bundle["collisions"]}
         known = [delay for delay in delay_ms.values() if delay is not None]
         ten = [delay_ms[name] for name in results["ten_collisions"] if delay_ms[name] is not None]
-        row = [bundle["case"], bundle["recipe"], ", ".join(whole(d) for d in ten)]
+        row = [bundle["case"], ", ".join(whole(d) for d in ten).replace(" ", "\u00a0")]
         row += [f"{np.median(ten):.1f}" if ten else ""]
         if known:
             low, middle, high = np.percentile(known, [5, 50, 95])
             row += [f"{len(known)} of {len(bundle['collisions'])}", f"{middle:.1f}"]
-            row += [f"{low:.0f} to {high:.0f}", f"{max(known):.0f}"]
+            row += [f"{low:.0f}\u00a0to\u00a0{high:.0f}", f"{max(known):.0f}"]
         rows.append([cell.replace("-", "−") for cell in row + [""] * (len(columns) - len(row))])
     return table(columns, rows)
 

@@ -1,5 +1,5 @@
-"""docs/data.md and docs/training.md: their commands, on the recordings that they name; docs/findings.md: every code;
-docs/results/real-arms: its descriptions."""
+"""docs/data.md and docs/training.md: their commands, on the recordings that they name; docs/troubleshooting.md: every
+code; docs/results/real-arms: its descriptions."""
 
 import os
 import re
@@ -8,6 +8,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from doc_pages import Page
 
 from tauext.check.finding import codes
 from tauext.cli import main
@@ -22,8 +23,7 @@ FOUND_FAULTS = "check --data first"  # the one command that is to end with statu
 
 
 def test_the_guide_names_every_code_of_the_check_and_no_other():
-    page = (ROOT / "docs" / "findings.md").read_text()
-    table = page[page.index("\n## Codes\n") :]
+    table = Page("troubleshooting.md", "Check codes").text
     assert set(re.findall(r"`([a-z]+(?:-[a-z]+)*)`", table)) == set(codes())
 
 

@@ -296,7 +296,7 @@ class Tensor:
 
 
 def test_the_guide_makes_a_bundle(data, tmp_path, monkeypatch):
-    page = Page("training.md", "A network of your own")
+    page = Page("../packages/lab/README.md", "A network of your own")
     names = (
         "lstm.weight_ih_l0",
         "lstm.weight_hh_l0",

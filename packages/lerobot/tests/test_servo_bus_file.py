@@ -1,6 +1,6 @@
 """Buses of serial servos: their files, ours and LeRobot's, and what the commands refuse in one line.
 
-docs/servo-arms.md: its arm.toml, its bus file and its Python.
+docs/servo-arms.md: its arm.toml and its bus file; README.md: its Python.
 """
 
 from __future__ import annotations
@@ -96,8 +96,8 @@ def test_the_files_of_the_page_are_valid(tmp_path):
     assert joint == ServoJoint("shoulder_pan", 1, 2048.0, -1, False, "sts3215", -1470)
 
 
-def test_the_leader_feedback_of_the_page_runs():
-    (program,) = [text for text in Page(PAGE).blocks("python") if "LeaderFeedback" in text]
+def test_the_leader_feedback_of_the_readme_runs():
+    (program,) = Page("../packages/lerobot/README.md").blocks("python")
     rng = np.random.default_rng(0)
     ok, ticks = object(), iter([5.0, 5.0])
 

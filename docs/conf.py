@@ -58,6 +58,7 @@ extensions = [
     "root_pages",
     "result_numbers",
     "paper_tables",
+    "results_keys",
     "rst_text",
 ]
 source_suffix = {".md": "markdown"}

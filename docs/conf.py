@@ -58,7 +58,7 @@ extensions = [
     "root_pages",
     "result_numbers",
     "paper_tables",
-    "results_keys",
+    "file_tables",
     "rst_text",
 ]
 source_suffix = {".md": "markdown"}

@@ -1,13 +1,20 @@
-"""The keys of results.json as a table, made from the dataclasses that read and write it."""
+"""Tables of the file formats, made from the code that writes the files: keys of results.json, columns of estimates."""
 
 from __future__ import annotations
 
+import ast
+import inspect
+import textwrap
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from typing import Any, get_args, get_origin, get_type_hints
 
+import numpy as np
 from made_pages import prose, write_page
 from tauext_lab.evaluate.results import Results
+
+from tauext import _core
+from tauext.bundle.estimates import STORED, Estimates
 
 
 def inside(kind: Any, place: str) -> Iterator[tuple[str, type]]:
@@ -32,7 +39,7 @@ def places(kind: type, place: str = "", found: dict[type, list[str]] | None = No
     return found
 
 
-def table() -> list[str]:
+def results_keys() -> list[str]:
     """A row for every kind of object: its places, its docstring's first sentence, its keys."""
     lines = ["| object | keys |", "|---|---|"]
     for kind, named in places(Results).items():
@@ -44,6 +51,36 @@ def table() -> list[str]:
     return lines
 
 
+def field_docstrings(kind: type) -> dict[str, str]:
+    """The string below each field of a dataclass."""
+    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+    assert isinstance(tree, ast.ClassDef)
+    return {
+        one.target.id: below.value.value
+        for one, below in zip(tree.body, tree.body[1:], strict=False)
+        if isinstance(one, ast.AnnAssign)
+        and isinstance(one.target, ast.Name)
+        and isinstance(below, ast.Expr)
+        and isinstance(below.value, ast.Constant)
+    }
+
+
+def estimates_columns() -> list[str]:
+    """A row for every column of a file of estimates, and the bits of `causes`."""
+    about = field_docstrings(Estimates)
+    lines = ["| column | type | content |", "|---|---|---|"]
+    for column in STORED:
+        name = f"{column.name}_<joint>" if column.per_joint else column.name
+        lines.append(f"| `{name}` | {np.dtype(column.kind)} | {prose(about[column.name])} |")
+    bits = [f"{1 << bit} {name}" for bit in range(32) for name in _core.cause_names(1 << bit)]
+    return [*lines, "", f"Bits of `causes`: {', '.join(bits)}."]
+
+
+def write(app: Any) -> None:
+    write_page("results-keys.inc", results_keys())
+    write_page("estimates-columns.inc", estimates_columns())
+
+
 def setup(app: Any) -> dict[str, bool]:
-    app.connect("builder-inited", lambda _: write_page("results-keys.inc", table()))
+    app.connect("builder-inited", write)
     return {"parallel_read_safe": True}

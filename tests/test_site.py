@@ -18,7 +18,19 @@ from tauext.cli.commands import all_commands
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 sys.path[:0] = [str(DOCS), str(DOCS / "_extensions")]
-check_site, cli_pages, cpp_pages, python_page, root_pages, rst_text, made_pages, fill, paper_tables, conf, file_tables = (
+(
+    check_site,
+    cli_pages,
+    cpp_pages,
+    python_page,
+    root_pages,
+    rst_text,
+    made_pages,
+    fill,
+    paper_tables,
+    conf,
+    file_tables,
+) = (
     importlib.import_module(name)
     for name in (
         "check_site",

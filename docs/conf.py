@@ -22,7 +22,28 @@ def copy_reports(app, error):
             shutil.copyfile(report, target)
 
 
-CONTENTS = {}
+CONTENTS = {
+    "index": {
+        "Start": "words install quickstarts/ur quickstarts/ros2 quickstarts/lerobot quickstarts/cpp your-robot",
+        "Guides": "data training running loop commission loads contacts servo-arms fleets troubleshooting",
+        "Paper": "paper paper-rig",
+        "Method": "method/theory method/alarms method/changes method/training method/loads-and-forces references",
+        "Results": "results/index",
+        "Reference": "reference/cli reference/python reference/cpp reference/ros2 reference/files reference/files-bundle "
+        "reference/files-results",
+        "Project": "architecture reference/made/project/*",
+    },
+    "reference/cli": {
+        "": "made/cli/*",
+    },
+    "reference/cpp": {
+        "": "made/cpp/*",
+    },
+    "results/index": {
+        "": "comparison bench mocca real-arms servo-arms forces pressing loads false-alarms change commission "
+        "checks speed",
+    },
+}
 """Pages below a page, by the captions of the menu; pages of a folder are in the order of their names."""
 HEADER = re.compile(r"\]\((?:\.\./)+cpp/include/tauext/(\w+)\.(hpp|h)\)")
 
@@ -34,7 +55,7 @@ def add_contents(app, name, source):
     of the headers.
     """
     made = Path(app.srcdir) / "reference" / "made"
-    if name.startswith("reference/") and (made / f"{Path(name).name}.inc").exists() and "{include}" not in source[0]:
+    if name.startswith("reference/") and (made / f"{Path(name).name}.inc").exists():
         source[0] += f"\n```{{include}} made/{Path(name).name}.inc\n```\n"
     for caption, pages in CONTENTS.get(name, {}).items():
         lines = [":hidden:", ":glob:", f":caption: {caption}" if caption else "", "", *pages.split()]
@@ -56,9 +77,6 @@ extensions = [
     "python_page",
     "cpp_pages",
     "root_pages",
-    "result_numbers",
-    "paper_tables",
-    "file_tables",
     "rst_text",
 ]
 source_suffix = {".md": "markdown"}

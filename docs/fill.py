@@ -12,7 +12,7 @@ A comment names the source of the number before it, or of the table or code bloc
 - A number is FILE#PATH, FILE#PATH|FORMAT or, of a list, FILE#PATH|FORMAT|SEPARATOR. FILE is a JSON file in docs/. PATH
   is keys separated by dots; in a list, [0] selects by index and [key=value] the one element whose key has this value.
   FORMAT is Python's: .2f, .0%, ,d. In a table write \\| for |.
-- A table is one of `paper_tables.tables()`.
+- A table is one of `paper_tables.tables()` or `file_tables.tables()`.
 - Code is from the first line that begins with one text to before the next that begins with another, or to the end.
 """
 
@@ -20,17 +20,15 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import file_tables
+import paper_tables
+
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
-sys.path.append(str(DOCS / "_extensions"))
-
-from paper_tables import tables  # noqa: E402
-
 STEP = re.compile(r"\.?(?P<key>[^.\[\]]+)|\[(?P<index>\d+)\]|\[(?P<field>[^=\]]+)=(?P<wanted>[^\]]+)\]")
 NUMBER = re.compile(r"(?:−?\d[\d.,/%−]*)?(<!-- ([^\s#>]+\.json#[^>]+?) -->)")
 TABLE = re.compile(r"(<!-- table: (\S+) -->\n)(?:\|.*\n)*")
@@ -114,8 +112,8 @@ def code(name: str, start: str, end: str | None) -> str:
 
 
 def table(name: str) -> str:
-    """The lines of one of the paper's tables."""
-    found = tables()
+    """The lines of one of the made tables."""
+    found = paper_tables.tables() | file_tables.tables()
     if name not in found:
         raise FillError(f"no table '{name}': {', '.join(found)}")
     return "".join(f"{line}\n" for line in found[name])

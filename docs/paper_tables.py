@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from made_pages import write_page
 from tauext_lab.report import paper
 
-DOCS = Path(__file__).parents[1]
+DOCS = Path(__file__).parent
 RECIPES = ("paper", "dense")
 ORDER = list(paper.L1_NM)
 
@@ -175,13 +174,3 @@ def tables() -> dict[str, list[str]]:
         "delays-joint-1": delays(full, joint=0),
         "delays": delays(full),
     }
-
-
-def write(app: Any) -> None:
-    for name, lines in tables().items():
-        write_page(f"paper/{name}.inc", lines)
-
-
-def setup(app: Any) -> dict[str, bool]:
-    app.connect("builder-inited", write)
-    return {"parallel_read_safe": True}

@@ -10,7 +10,6 @@ from dataclasses import fields, is_dataclass
 from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
-from made_pages import prose, write_page
 from tauext_lab.evaluate.results import Results
 
 from tauext import _core
@@ -47,7 +46,7 @@ def results_keys() -> list[str]:
         made = about.startswith(f"{kind.__name__}(")  # a dataclass's own, where it has no docstring
         name = ", ".join(f"`{place}`" for place in named if place) or "the file"
         keys = ", ".join(f"`{one.name}`" for one in fields(kind))
-        lines.append(f"| {name}{'' if made else f': {prose(about)}'} | {keys} |")
+        lines.append(f"| {name}{'' if made else f': {about}'} | {keys} |")
     return lines
 
 
@@ -68,19 +67,15 @@ def field_docstrings(kind: type) -> dict[str, str]:
 def estimates_columns() -> list[str]:
     """A row for every column of a file of estimates, and the bits of `causes`."""
     about = field_docstrings(Estimates)
+    bits = ", ".join(f"{1 << bit} {name}" for bit in range(32) for name in _core.cause_names(1 << bit))
     lines = ["| column | type | content |", "|---|---|---|"]
     for column in STORED:
         name = f"{column.name}_<joint>" if column.per_joint else column.name
-        lines.append(f"| `{name}` | {np.dtype(column.kind)} | {prose(about[column.name])} |")
-    bits = [f"{1 << bit} {name}" for bit in range(32) for name in _core.cause_names(1 << bit)]
-    return [*lines, "", f"Bits of `causes`: {', '.join(bits)}."]
+        meaning = " ".join(about[column.name].split()) + (f" Bits: {bits}." if column.name == "causes" else "")
+        lines.append(f"| `{name}` | {np.dtype(column.kind)} | {meaning} |")
+    return lines
 
 
-def write(app: Any) -> None:
-    write_page("results-keys.inc", results_keys())
-    write_page("estimates-columns.inc", estimates_columns())
-
-
-def setup(app: Any) -> dict[str, bool]:
-    app.connect("builder-inited", write)
-    return {"parallel_read_safe": True}
+def tables() -> dict[str, list[str]]:
+    """The tables by name."""
+    return {"results-keys": results_keys(), "estimates-columns": estimates_columns()}

@@ -29,8 +29,8 @@ CONTENTS = {
         "Paper": "paper paper-rig",
         "Method": "method/theory method/alarms method/changes method/training method/loads-and-forces references",
         "Results": "results/index",
-        "Reference": "reference/cli reference/python reference/cpp reference/ros2 reference/files reference/files-bundle "
-        "reference/files-results",
+        "Reference": "reference/cli reference/python reference/cpp reference/ros2 reference/files "
+        "reference/files-bundle reference/files-results",
         "Project": "architecture reference/made/project/*",
     },
     "reference/cli": {

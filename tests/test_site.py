@@ -43,6 +43,7 @@ sys.path[:0] = [str(DOCS), str(DOCS / "_extensions")]
         "fill",
         "paper_tables",
         "conf",
+        "file_tables",
     )
 )
 

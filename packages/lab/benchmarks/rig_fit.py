@@ -100,10 +100,10 @@ def fit(segments: list[Segment], start: np.ndarray) -> np.ndarray:
 
 
 def jackknife(segments: list[Segment], best: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Standard error of each parameter, from fits without one segment in turn; the errors of each on that segment."""
+    """Fits without one segment in turn (segments, parameters); the errors of each on that segment (rows, 2)."""
     left_out = [fit([s for s in segments if s is not out], best) for out in segments]
     unseen = np.vstack([errors_nm([out], found) for out, found in zip(segments, left_out, strict=True)])
-    return np.asarray(np.sqrt((len(segments) - 1) * np.var(left_out, axis=0))), unseen
+    return np.array(left_out), unseen
 
 
 # --- The test of the rig: networks trained on it alone.
@@ -156,7 +156,8 @@ def main() -> None:
                 print(table_row(f"{path.parent.name}/{path.stem}", *judged(bundle, segments, tree)))
         return
     best = fit(segments, START)
-    errors, unseen = jackknife(segments, best)
+    left_out, unseen = jackknife(segments, best)
+    errors = np.sqrt((len(segments) - 1) * np.var(left_out, axis=0))
     rig = RigConfig()
     nominal = [link.com_m * link.mass_kg * 9.81 for link in rig.links]
     true = [link.true_com_m * link.mass_kg * 9.81 for link in rig.links]
@@ -170,9 +171,10 @@ def main() -> None:
             float(np.log10(joint.bristle_nm_rad)),
         ]
     names = [*NAMES, *(f"{name}, joint {joint + 1}" for joint in range(2) for name in PER_JOINT)]
-    print("\n".join(head("parameter (N m, rad, s) | recording | standard error | rig")))
-    for name, value, error, rigs in zip(names, best, errors, of_rig, strict=True):
-        print(table_row(name, f"{value:.3f}", f"{error:.3f}", f"{rigs:.3f}"))
+    print("\n".join(head("parameter (N m, rad, s) | recording | standard error | without one segment | rig")))
+    for name, value, error, others, rigs in zip(names, best, errors, left_out.T, of_rig, strict=True):
+        others_words = f"{others.min():.3f} to {others.max():.3f}"
+        print(table_row(name, f"{value:.3f}", f"{error:.3f}", others_words, f"{rigs:.3f}"))
     print("\n" + "\n".join(head("joint | rows | L1, N m | RMS, N m | largest, N m")))
     left = errors_nm(segments, best)
     for joint in range(2):

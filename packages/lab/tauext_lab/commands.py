@@ -249,9 +249,9 @@ def report_flight(flight: Path, out: Path, page_mb: float) -> None:
 
 
 def bench(
-    track: tuple[Path, ...],
     method: tuple[str, ...],
     out: Path,
+    track: tuple[Path, ...] = (),
     data: Path | None = None,
     false_alarms_per_hour: float = 1.0,
     case: CaseName | None = None,
@@ -264,13 +264,13 @@ def bench(
     interruption. A track or method that cannot be run is named with its reason, and the others are run.
 
     Args:
-        track: folders with a track.toml, or names of the package's tracks: lugre, maxwell-slip and belt (simulated),
-            mocca, panda-touches, ur3, so101-stalls.
         method: recipes and methods of `tauext evaluate --baselines`, those with a network also in fewer steps
             (dense@10000); FILE.py:FUNCTION of a function fit(recordings) that returns an estimator of a recording's
             tau_ext; or estimates in a CSV or Parquet file.
         out: folder to write; results in it are continued.
-        data: folder that holds the tracks' files at any depth; default: they are fetched by git.
+        track: folders with a track.toml, or names of the package's tracks: lugre, maxwell-slip and belt (simulated),
+            mocca, panda-touches, ur3, so101-stalls; default: all of these.
+        data: folder that holds the tracks' files at any depth; those that it lacks are fetched by git.
         false_alarms_per_hour: measured rate of false alarms at which methods are compared.
         case: model case of recipes, as in train.
         seed: seed of trainings.

@@ -3,6 +3,7 @@
 import hashlib
 import html
 import json
+import shutil
 import subprocess
 
 import numpy as np
@@ -182,24 +183,74 @@ def test_unknown_methods_and_tracks_are_named_with_the_choices(place):
 # --- Files of others by git; estimates made elsewhere; interruptions.
 
 
-def test_files_come_from_the_named_commit_of_a_repository(place):
-    repository, git = (
-        place / "theirs",
-        ["git", "-c", "user.name=a", "-c", "user.email=a@b.c", "-C", str(place / "theirs")],
-    )
-    subprocess.run(["git", "init", "-q", str(repository)], check=True)
+@pytest.fixture
+def theirs(place):
+    """A repository of others, whose file "logs/a run.txt" is what the track wants in its first commit alone."""
+    folder = place / "theirs"
+
+    def git(*words):
+        command = ["git", "-c", "user.name=a", "-c", "user.email=a@b.c", "-C", str(folder), *words]
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+    (folder / "logs").mkdir(parents=True)
+    git("init", "-q")
+    git("config", "uploadpack.allowFilter", "true")  # as the large hosts
     for number in ("5\n", "6\n"):
-        (repository / "x.txt").write_text(number)
-        subprocess.run([*git, "add", "x.txt"], check=True)
-        subprocess.run([*git, "commit", "-q", "-m", "x"], check=True)
-    first = subprocess.run([*git, "rev-parse", "HEAD~1"], check=True, capture_output=True, text=True).stdout.strip()
-    toml = place / "made/track.toml"
-    toml.write_text(f'repository = "file://{repository}"\ncommit = "{first}"\n{toml.read_text()}path = "x.txt"\n')
+        (folder / "logs/a run.txt").write_text(number)
+        git("add", ".")
+        git("commit", "-q", "-m", "x")
     (place / "data/below/pushes.txt").unlink()
+    return f"file://{folder}", git("rev-parse", "HEAD~1"), git("rev-parse", "HEAD")
+
+
+def name_source(place, repository, commit, path="logs/a run.txt"):
+    """Writes where the track's file comes from."""
+    with (place / "made/track.toml").open("a") as toml:
+        toml.write(f'repository = "{repository}"\ncommit = "{commit}"\npath = "{path}"\n')
+
+
+def test_files_come_from_the_named_commit_of_a_repository(place, theirs):
+    repository, first, _ = theirs
+    name_source(place, repository, first)
     assert scores(bench(place, "perfect"))["perfect"]["own"]["found"] == 3
-    toml.write_text(toml.read_text().replace(first, "0" * 40))
-    (place / "out/made/files/pushes.txt").unlink()
-    assert "could not be fetched from file://" in bench(place, "perfect")["missing"][0]
+    (clone,) = (place / "out/made/files/repositories").iterdir()
+    count = ["git", "-C", str(clone), "rev-list", "--objects", "--all", "--missing=print", first]
+    assert len(subprocess.run(count, check=True, capture_output=True, text=True).stdout.split("\n")) == 5  # one commit
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"commit": "0" * 40}, "could not be fetched from file://"),
+        ({"path": "logs/b.txt"}, "could not be fetched from file://"),
+        ({"repository": "file:///nowhere"}, "could not be fetched from file:///nowhere at"),
+        ({"path": ""}, "is in no repository in this form; give a folder that holds it with --data"),
+        ({"commit": None}, "it is not the file that was labelled, and is not used"),
+    ],
+)
+def test_a_file_that_its_repository_lacks_or_has_otherwise_is_one_sentence(place, theirs, wrong, words):
+    repository, first, second = theirs
+    source = {"repository": repository, "commit": first} | wrong
+    name_source(place, **source | {"commit": source["commit"] or second})
+    content = bench(place, "perfect")
+    assert content["tracks"] == [] and len(content["missing"]) == 1
+    assert content["missing"][0].startswith("track made: pushes.txt: ") and words in content["missing"][0]
+    assert "\n" not in content["missing"][0]
+
+
+def test_without_a_name_all_tracks_of_the_package_are_run_and_those_missing_stated(place, monkeypatch):
+    for name in ("absent", "broken"):
+        shutil.copytree(place / "made", place / name)
+    text = (place / "made/track.toml").read_text()
+    (place / "absent/track.toml").write_text(text.replace("pushes.txt", "elsewhere.csv"))
+    (place / "broken/track.toml").write_text(text.replace('sha256 = "', 'sha256 = "00'))
+    monkeypatch.setattr("tauext_lab.bench.track.TRACKS", place)
+    content = bench(place, "perfect", tracks=())
+    assert [track["name"] for track in content["tracks"]] == ["made"]
+    assert [words.partition(": its")[0].partition(": is")[0] for words in content["missing"]] == [
+        "track absent: elsewhere.csv",
+        "track broken: pushes.txt",
+    ]
 
 
 def test_estimates_in_a_file_score_as_the_method_that_made_them(place):

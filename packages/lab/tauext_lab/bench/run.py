@@ -20,7 +20,7 @@ from tauext.progress import SILENT, Reporter
 from tauext_lab.bench.methods import Given, Method, Quietly, blind, method_of
 from tauext_lab.bench.page import write_page
 from tauext_lab.bench.scores import judge, summary
-from tauext_lab.bench.track import Track, digest, folds, load_track, make_dataset, track_folder
+from tauext_lab.bench.track import Track, digest, folds, load_track, make_dataset, package_tracks, track_folder
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,13 @@ def run_bench(
     finished are kept in OUT/TRACK/METHOD.json, and used again as long as track, method and settings are the same.
 
     Args:
+        tracks: folders or names, see track_folder(); none: all of the package.
         data: see fetch().
 
     Raises:
         ConfigError: an unknown track or method.
     """
-    folders = {folder.name: folder for folder in map(track_folder, tracks)}
+    folders = {folder.name: folder for folder in map(track_folder, tracks or package_tracks())}
     loaded = {name: load_track(folder) for name, folder in folders.items()}
     known = [method_of(name) for name in methods]
     if len({method.name for method in known}) < len(known):

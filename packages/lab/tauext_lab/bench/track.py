@@ -102,8 +102,13 @@ def track_folder(given: Path) -> Path:
     for folder in (given, TRACKS / given):
         if (folder / "track.toml").is_file():
             return folder
-    known = ", ".join(sorted(one.parent.name for one in TRACKS.glob("*/track.toml")))
+    known = ", ".join(map(str, package_tracks()))
     raise ConfigError(f"--track {given}: is no folder with a track.toml; tracks of the package are {known}")
+
+
+def package_tracks() -> list[Path]:
+    """Names of the tracks that the package has, each of which track_folder() finds."""
+    return sorted(Path(one.parent.name) for one in TRACKS.glob("*/track.toml"))
 
 
 def load_track(folder: Path) -> Track:
@@ -175,14 +180,16 @@ def _from_folder(one: SourceFile, data: Path) -> bytes | None:
 
 
 def _by_git(one: SourceFile, track: Track, folder: Path) -> bytes:
+    """Content of a file at its commit, of which alone the file is fetched: neither history nor other files."""
     repository, commit = one.repository or track.repository, one.commit or track.commit
     if not (repository and commit and one.path):
         raise ConfigError(f"{one.name}: is in no repository in this form; give a folder that holds it with --data")
-    clone = folder / _sha256(repository.encode())[:12]
-    try:
-        if not clone.is_dir():
-            _git("clone", "--quiet", "--no-checkout", "--filter=blob:none", repository, str(clone))
-        return _git("-C", str(clone), "show", f"{commit}:{one.path}")
+    clone = str(folder / _sha256(repository.encode())[:12])
+    try:  # each step can be repeated, so an interrupted fetch leaves nothing that stops the next
+        _git("init", "--quiet", "--bare", clone)
+        _git("-C", clone, "config", "remote.origin.url", repository)
+        _git("-C", clone, "fetch", "--quiet", "--depth=1", "--filter=blob:none", "origin", commit)
+        return _git("-C", clone, "show", f"{commit}:{one.path}")
     except (OSError, subprocess.CalledProcessError) as error:
         why = (getattr(error, "stderr", b"") or str(error).encode()).decode(errors="replace").strip().splitlines()
         last = why[-1] if why else "git failed"

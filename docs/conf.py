@@ -58,6 +58,7 @@ extensions = [
     "root_pages",
     "result_numbers",
     "paper_tables",
+    "file_tables",
     "rst_text",
 ]
 source_suffix = {".md": "markdown"}

@@ -200,7 +200,7 @@ def table_of_layers() -> dict[str, tuple[bool, set[str]]]:
     """Layers in the order of the table in architecture.md: whether one is optional, and what it may include."""
     text = (SOURCE.parents[1] / "docs" / "architecture.md").read_text().partition("## Layers of the core")[2]
     rows = [line.split("|") for line in text.partition("\n## ")[0].splitlines() if line.startswith("| `")]
-    return {row[1].split("`")[1]: ("optional" in row[1], set(re.findall(r"`(.*?)`", row[4]))) for row in rows}
+    return {row[1].split("`")[1]: ("optional" in row[1], set(re.findall(r"`(.*?)`", row[3]))) for row in rows}
 
 
 LAYERS = table_of_layers()

@@ -6,6 +6,7 @@ import importlib
 import json
 import re
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,19 @@ from tauext.cli.commands import all_commands
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 sys.path[:0] = [str(DOCS), str(DOCS / "_extensions")]
-check_site, cli_pages, cpp_pages, python_page, root_pages, rst_text, made_pages, fill, paper_tables, conf = (
+(
+    check_site,
+    cli_pages,
+    cpp_pages,
+    python_page,
+    root_pages,
+    rst_text,
+    made_pages,
+    fill,
+    paper_tables,
+    conf,
+    file_tables,
+) = (
     importlib.import_module(name)
     for name in (
         "check_site",
@@ -30,6 +43,7 @@ check_site, cli_pages, cpp_pages, python_page, root_pages, rst_text, made_pages,
         "fill",
         "paper_tables",
         "conf",
+        "file_tables",
     )
 )
 
@@ -214,6 +228,36 @@ def test_the_papers_tables_have_a_row_for_every_case_and_recipe():
     assert delays[2].startswith(
         "| exact | 2,\u00a03,\u00a01,\u00a03,\u00a00,\u00a02,\u00a0−2,\u00a07,\u00a02,\u00a02 | 2.0 | 107 of 200 |"
     )
+
+
+def test_the_table_of_results_has_every_object_and_key_of_a_kept_file():
+    rows = dict(re.findall(r"^\| (.*?)(?:: .*)? \| (.*) \|$", "\n".join(file_tables.results_keys()[2:]), re.MULTILINE))
+    keys = {place: set(re.findall(r"`(\w+)`", text)) for named, text in rows.items() for place in named.split(", ")}
+
+    seen = set()
+
+    def check(content: object, place: str) -> None:
+        if isinstance(content, list):
+            for one in content[:3]:
+                check(one, f"{place}[]")
+        elif isinstance(content, dict):
+            named = f"`{place}`" if place else "the file"
+            if named in keys:
+                seen.add(named)
+                assert set(content) <= keys[named], place
+            for key, inner in content.items():
+                check(inner, f"{place}.{key}".lstrip(".") if named in keys else f"{place}{{}}")
+
+    check(json.loads((DOCS / "results" / "full" / "results.json").read_text()), "")
+    assert len(seen) > 15 and {"`bundles[].events.moving`", "`others[].events`"} <= set(keys)
+
+
+def test_the_table_of_estimates_has_every_quantity_with_its_meaning():
+    rows = dict(
+        re.findall(r"^\| `(\w+?)(?:_<joint>)?` \| \w+ \| (.*) \|$", "\n".join(file_tables.estimates_columns()), re.M)
+    )
+    assert set(rows) == {one.name for one in fields(tauext.Estimates)} - {"joints", "t_ns"} and all(rows.values())
+    assert "256 encoder still" in file_tables.estimates_columns()[-1]
 
 
 def test_delays_of_joint_one_leave_out_collisions_that_it_does_not_show():

@@ -1,4 +1,4 @@
-"""Events of `tauext run` and `tauext monitor` as JSON lines; docs/reference/files-running.md lists them."""
+"""Events of `tauext run` and `tauext monitor` as JSON lines; docs/reference/files-results.md lists them."""
 
 from __future__ import annotations
 

@@ -121,7 +121,7 @@ def simulate_dataset(
     calibration_hours: float = 0.0,
     test_hours: float = 0.0,
 ) -> None:
-    """Write a dataset folder as docs/reference/files-data.md describes it.
+    """Write a dataset folder as docs/reference/files.md describes it.
 
     Every recording has random streams of its own and is written when it is whole: an interrupted run goes on where it
     stopped, and the files do not depend on the number of threads.

@@ -35,7 +35,7 @@ RARE = LIMITS | {"extrapolated": LIMITS["extrapolated"] | {"between_per_hour": [
 @pytest.mark.parametrize(
     ("limits", "words"),
     [
-        ({}, "The limits are set for no rate of false alarms."),
+        ({}, "The thresholds have no target false alarm rate."),
         (PROVED, "Set for one false alarm in 8 h, as 25 h of free motion prove."),
         (
             LIMITS,
@@ -109,10 +109,7 @@ def test_the_newest_choice_counts_and_trainings_begin_at_the_rarest_budget(tmp_p
     folder.choose(AlarmConfig(), "page")
     assert not folder.history()
     folder.choose(AlarmConfig(in_hours=1.0), "page")
-    assert (
-        folder.history()[-1]["words"]
-        == "limits are to allow 1 in 1 h as false alarms, chosen by page; before: 1 in 8 h"
-    )
+    assert folder.history()[-1]["words"] == "target false alarm rate 1 in 1 h, chosen by page; before: 1 in 8 h"
     assert chosen_alarm(folder.path).in_hours == 1.0 and alarm_to_train(folder.path) == AlarmConfig()
     folder.choose(AlarmConfig(in_hours=24.0), "command")
     assert alarm_to_train(CommissionFolder.open(folder.path).path).in_hours == 24.0

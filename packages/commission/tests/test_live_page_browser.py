@@ -225,6 +225,13 @@ def test_a_state_is_shown(browser, tmp_path, state, arm, width, height, scheme):
             assert chosen_alarm(tmp_path / "cell7").in_hours == 1.0
         if state == "alarm":
             until(lambda: "The alarm stands until" in text(), "the alarm")
+            assert page.value("scrollTo(0, 900), scrollY > 300 && alarm.getBoundingClientRect().top >= 0"), (
+                "out of view"
+            )
+            cut = (
+                "[...document.querySelectorAll('.joint *')].filter(e => e.clientWidth && e.scrollWidth > e.clientWidth)"
+            )
+            assert page.value(f"{cut}.map(e => e.innerText)") == []
             page.value("document.getElementById('nothing').click()")
             until(lambda: loop.received == ["nothing 17"], "the answer")
         if state == "answered":

@@ -1,5 +1,6 @@
 """What the command line loads before it answers: help and `show` shall not wait for what they do not use."""
 
+import contextlib
 import os
 import re
 import subprocess
@@ -80,3 +81,24 @@ def test_options_with_lists_are_those_that_the_help_shows_with_dots(name, capsys
         main([*name.split(), "--help"])
     shown = re.findall(r"--([a-z][\w.-]*) [^a-z\n]*\.\.\.", capsys.readouterr().out)
     assert {one.rpartition(".")[2] for one in shown} <= lists
+
+
+OLD_WORDS = re.compile(
+    r"(?<![-\w`.\[])(limits?|budgets?|promises?|suspect\w*|flights?|weigh(?:s|ed|ing)?|notic(?:e|es|ed)|unfamiliar|blind"
+    r"|declared?|drift)(?![-\w`\]]| =)",
+    re.IGNORECASE,
+)
+"""Words of the code that have a term of the field in docs/words.md; not options, keys, and names in backticks."""
+
+
+def test_the_help_has_the_terms_of_the_glossary(capsys):
+    assert [
+        one.group() for one in OLD_WORDS.finditer("--limits [drift] `flight` # limits = 1: a budget, the drift")
+    ] == [
+        "budget",
+        "drift",
+    ]
+    for name in ("", "train --help-config", *dict(commands(all_commands()))):
+        with contextlib.suppress(SystemExit):
+            main([*name.split(), *["--help"] * ("--help-config" not in name)])
+        assert not OLD_WORDS.findall(capsys.readouterr().out), name

@@ -186,7 +186,7 @@ def test_run_and_show_say_what_was_unfamiliar(watching, capsys):
     files = (str(folder / "made.tauext"), str(folder / "fast.parquet"))
     main(["run", *files])
     text = " ".join(capsys.readouterr().out.split())
-    assert "of the motion was not in the training data: speed of" in text and "WARNING" in text
+    assert "of the motion was out-of-distribution: speed of" in text and "WARNING" in text
     main(["run", *files, "--json", "--status-hz", "10"])
     events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     said = _core.Monitor(bundle).run(*made.signals)

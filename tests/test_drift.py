@@ -181,7 +181,7 @@ def test_a_drift_at_its_bound_is_reported_once(fitted, tmp_path, capsys):
     save_recording(made, tmp_path / "made.parquet")
     main(["run", str(tmp_path / "drifting.tauext"), str(tmp_path / "made.parquet")])
     told = capsys.readouterr().out
-    assert told.count("recalibrate: joint shoulder's drift is at its bound") == 1 == told.count("joint elbow's")
+    assert told.count("recalibrate: joint shoulder's adaptive bias is at its bound") == 1 == told.count("joint elbow's")
     main(["run", str(tmp_path / "drifting.tauext"), str(tmp_path / "made.parquet"), "--json"])
     events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     drifts = [event for event in events if event["event"] == "drift"]

@@ -99,7 +99,7 @@ def test_the_run_file_and_show_report_how_limits_hold_from_one_recording_to_the_
     assert set(other["false"]) == {f"made-{k}" for k in range(4)} and other["promised"] == pytest.approx(3, rel=0.1)
     assert other["factor"] == sum(other["false"].values()) / other["promised"] and other["sentence"] in facts["notes"]
     assert main(["show", str(tmp_path / "made.tauext")]) == 0
-    assert "Each recording was evaluated with limits from the others" in " ".join(capsys.readouterr().out.split())
+    assert "Each recording was evaluated with thresholds from the others" in " ".join(capsys.readouterr().out.split())
 
 
 def test_the_factor_of_minutes_grows_as_the_reserve_of_friction_fades():
@@ -153,7 +153,7 @@ def test_a_standing_arm_has_limits_at_rest_and_nothing_to_learn(tmp_path, monkey
     with pytest.raises(TrainingError, match="no joint moves in any of 1 training recordings.*--recipe observer"):
         training_motion([still], [], TrainConfig())
     bundle, facts = trained(tmp_path, monkeypatch, [still], recipe="observer", limits="paper")
-    assert any(note.startswith("limits at rest only: no joint moves") for note in facts["notes"])
+    assert any(note.startswith("thresholds at rest only: no joint moves") for note in facts["notes"])
     assert bundle.sliding_limit_nm == bundle.near_stiction_limit_nm and min(bundle.sliding_limit_nm) > 0
 
 

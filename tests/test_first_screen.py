@@ -73,10 +73,10 @@ def test_what_is_too_weak_is_counted_up_to_the_strength_that_is_seen(results):
 @pytest.mark.parametrize(
     "change, says",
     [
-        ({"promised_per_hour": None}, "The limits are set for no rate of false alarms"),
+        ({"promised_per_hour": None}, "The thresholds have no target false alarm rate"),
         (
             {"promised_per_hour": 0.125, "promise_kept": False},
-            "The limits allow at most 0.12 false alarms an hour, and the test had more",
+            "The thresholds allow at most 0.12 false alarms an hour, and the test had more",
         ),
     ],
 )

@@ -90,7 +90,7 @@ def test_few_sources_are_each_split_by_time_with_a_gap_and_that_is_reported(work
     assert code == 0 and out.splitlines()[-1] == str(workplace / "out")
     assert (
         "3 sources without labelled contacts: each split by time (train 80%, test 20%) with a gap of 2 s" in out
-        and "validation is empty: train finds limits by cross-validation on the training motion" in out
+        and "validation is empty: train finds thresholds by cross-validation on the training motion" in out
     )
     found = spans(workplace)
     assert "validation" not in found
@@ -167,7 +167,7 @@ def test_training_takes_what_an_import_wrote(workplace, capsys):
     assert main(train) == 2 and not bundle.exists()
     capsys.readouterr()
     assert main([*train, "--accept", "robot-file-other"]) == 2 and not bundle.exists()  # some seconds of motion
-    assert f"{bundle}: 1 fault, so its limits are refused" in capsys.readouterr().err
+    assert f"{bundle}: 1 fault, so its thresholds are refused" in capsys.readouterr().err
     assert main([*train, "--accept", "robot-file-other", "limit-wide"]) == 0
     facts = json.loads(load_bundle(bundle).provenance)
     assert {one["code"] for one in facts["limit_findings"]} == {"limit-wide"}

@@ -581,7 +581,7 @@ def test_flights_of_a_live_loop_are_written_with_the_profile_s_limits(bundle, tm
     assert (news.what, news.number, news.error) == ("contact", 1, None)
     assert news.path.name.startswith("script-1-2-2.0")
     text = news.path.with_suffix(".txt").read_text()
-    assert "over its contact limit of 3.000 Nm" in text  # 1 Nm times 3
+    assert "over its contact threshold of 3.000 Nm" in text  # 1 Nm times 3
     flight = load_recording(news.path)
     assert flight.provenance["command"] == "tauext monitor" and flight.provenance["event"]["number"] == 1
     row = int(np.searchsorted(recording.t_ns, flight.t_ns[0]))

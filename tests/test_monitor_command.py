@@ -81,7 +81,7 @@ def test_lines_of_text_end_with_a_summary(place, capsys):
         "flight: flights/replay-pushed-2.015s-collision.parquet",
         "source        6,000 received, none lost",
         "alarms        contact shoulder 1, elbow 1; collision shoulder 1, elbow 1; 2 acknowledged",
-        "flights       2 written to flights",
+        "event logs    2 written to flights",
         "reaction      note: 2 done; began after p50 ",
         "recorded      6,000 samples in 1 files",
     ):

@@ -315,8 +315,8 @@ def test_the_loop_declares_what_lines_announce_and_reports_it(arm, tool):
     assert "phase 'sanding' needs a table" in answers[1]
     assert "frame = 'nope' must be one of" in answers[2]
     assert answers[3].startswith("error: contact") and "at_most_n = -4.0 must be" in answers[3]
-    assert any("a contact at joint6 of at most 40 N for 60 s is declared, by test" in note for note in notes)
-    assert "1 declared contact ended, by test" in notes
+    assert any("a contact at joint6 of at most 40 N for 60 s is expected, by test" in note for note in notes)
+    assert "1 expected contact ended, by test" in notes
     alarms = [change for one in keeper.verdicts for change in one.changes if isinstance(change, AlarmChange)]
     assert alarms and alarms[0].row > 4000  # the force was no longer declared
     states = [c.state for one in keeper.verdicts for c in one.changes if isinstance(c, DeclaredChange)]
@@ -399,7 +399,7 @@ def test_the_spread_is_the_least_without_a_false_collision(arm, tool):
     assert (few.needed, few.spread) == (SpreadConfig.tried[0], 3.0)
     # A hit that no spread excuses is refused.
     hit = pressed(free, tool, 25.0, 2000, 5000, hit_nm=60.0)
-    with pytest.raises(ConfigError, match="press: the declared contact leaves torques over the limits"):
+    with pytest.raises(ConfigError, match="press: the expected contact leaves torques over the thresholds"):
         put_spread(own, [(hit, contacts)], injected=False)
     # Forces that are added to free motion never lower it.
     added = put_spread(own, with_tool_forces(own, [lambda: free]), injected=True)

@@ -54,7 +54,7 @@ def test_twenty_minutes_refuse_to_promise_eight_hours_and_say_how_much_more_to_r
     assert not promise.is_supported
     assert promise.supported.hours * 60 == pytest.approx(6.68, abs=0.005)
     assert promise.sentence() == (
-        "At most 1 false alarm in 8 h cannot be promised: 20 minutes of calibration support 1 in 6.67 minutes at best "
+        "At most 1 false alarm in 8 h cannot be proved: 20 minutes of calibration support 1 in 6.67 minutes at best "
         "(at 95 % confidence); record 23.7 h more of free motion, 24 h in all."
     )
 
@@ -106,8 +106,8 @@ def test_durations_in_words(hours, nearest, up, down):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: FalseAlarmBudget(0, 8), "false alarm budget: alarms = 0 must be > 0"),
-        (lambda: FalseAlarmBudget(1, math.nan), "false alarm budget: hours = nan must be > 0"),
+        (lambda: FalseAlarmBudget(0, 8), "target false alarm rate: alarms = 0 must be > 0"),
+        (lambda: FalseAlarmBudget(1, math.nan), "target false alarm rate: hours = nan must be > 0"),
         (lambda: rate_interval(-1, 8), "events = -1 must be a whole number >= 0"),
         (lambda: is_kept(1.5, 8, 0.1), "events = 1.5 must be a whole number >= 0"),
         (lambda: is_kept(1, 0, 0.1), "hours = 0 must be > 0"),

@@ -149,12 +149,12 @@ def test_limits_with_even_odds_keep_the_supported_budget_about():
 def test_too_little_calibration_is_refused_and_says_how_much_more():
     found = found_by(observer(), [noisy(1)], replace(BUDGET, in_hours=8.0))
     assert not found.promise.is_supported and found.budget == found.promise.supported
-    assert "cannot be promised" in found.sentence() and "24 h in all" in found.sentence()
+    assert "cannot be proved" in found.sentence() and "24 h in all" in found.sentence()
 
 
 def test_recordings_of_contacts_alone_are_refused():
     touched = noisy(1, contact=np.ones(60_000, dtype=np.int8))
-    with pytest.raises(TrainingError, match="limits need free motion"):
+    with pytest.raises(TrainingError, match="thresholds need free motion"):
         found_by(observer(), [touched], BUDGET)
 
 

@@ -196,12 +196,12 @@ def test_a_promise_stands_unless_a_minute_speaks_against_it(fitted):
     found = _core.refit(bundle, source)
     assert standing(found, bundle, limits, 0) == STANDS
     said = sentence(limits, found.used_s, [])
-    assert "stands" in said and "24 h of calibration" in said
+    assert "holds" in said and "24 h of calibration" in said
     low = limits | {"tails": {name: tail | {"threshold_nm": 0.3 * tail["threshold_nm"]} for name in limits["tails"]}}
     assert standing(found, bundle, low, 0).startswith("open: ")
     assert "open at shoulder" in sentence(low, found.used_s, ["shoulder"])
     assert standing(found, bundle, {"sentence": "the largest errors seen"}, 0) == "none was made"
-    assert "have no promise" in sentence({}, found.used_s, [])
+    assert "have no target false alarm rate" in sentence({}, found.used_s, [])
 
 
 def test_a_monitor_keeps_the_morning_for_the_same_refit(fitted):

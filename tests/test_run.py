@@ -267,10 +267,12 @@ def test_an_explanation_says_the_numbers_of_the_arrays(bundle, tmp_path):
         f"Collision on joint shoulder, {k * 1e-3:.3f} s after the start of pushed (t_ns = {recording.t_ns[k]})" in text
     )
     assert f"|tau_ext| of shoulder was {abs(tau_ext[0]):.3f} Nm, {abs(tau_ext[0]) - limit[0]:.3f} Nm over" in text
-    assert f"its collision limit of {limit[0]:.3f} Nm (sliding: its speed was {recording.dq[k, 0]:+.4f} rad/s" in text
+    assert (
+        f"its collision threshold of {limit[0]:.3f} Nm (sliding: its speed was {recording.dq[k, 0]:+.4f} rad/s" in text
+    )
     first = k - int(np.argmax(np.abs(said["tau_ext"][k::-1, 0]) <= said["limit_nm"][k::-1, 0])) + 1
     assert k - first == 5  # the hold time
-    assert f"over that limit for {k - first:.1f} ms" in text
+    assert f"over that threshold for {k - first:.1f} ms" in text
     assert f"The observer's residual was {said['residual'][k, 0]:+.3f} Nm, the network expected " in text
     assert f"{said['uncertainty'][k, 0]:+.3f} Nm" in text and f"tau_ext = {tau_ext[0]:+.3f} Nm" in text
     assert f"elbow {abs(tau_ext[1]):.3f} of {limit[1]:.3f} Nm ({abs(tau_ext[1]) / limit[1]:.0%})" in text
@@ -293,7 +295,7 @@ def test_a_contact_is_explained_with_its_own_limit_and_only_where_asked_for(bund
     k = int(np.flatnonzero(said["alarm"] == 1)[0])
     joint = int(said["alarm_joint"][k])
     limit = LIMIT_NM / 2 * (1.5 if said["near_stiction"][k, joint] else 1.0)
-    assert f"{abs(said['tau_ext'][k, joint]) - limit:.3f} Nm over its contact limit of {limit:.3f} Nm" in text
+    assert f"{abs(said['tau_ext'][k, joint]) - limit:.3f} Nm over its contact threshold of {limit:.3f} Nm" in text
 
 
 def test_a_contact_is_reported_with_its_own_limit_in_lines_and_json(bundle, tmp_path, capsys):
@@ -339,13 +341,13 @@ def test_a_limit_that_moves_is_reported_with_the_standard_error(bundle, tmp_path
     size, sigma, limit, scale = (abs(said[key][k, j]) for key in ("tau_ext", "sigma_nm", "limit_nm", "limit_scale"))
     assert limit == pytest.approx(scale * LIMIT_NM) and scale > 1.2
     text = one.path.with_suffix(".txt").read_text()
-    assert f"over its collision limit of {limit:.3f} Nm" in text
+    assert f"over its collision threshold of {limit:.3f} Nm" in text
     assert f"It was {size / sigma:.2g} times its standard error in free motion of {sigma:.3f} Nm" in text
-    assert f"multiplied the limit of usual motion by {scale:.2f}." in text
+    assert f"multiplied the threshold of usual motion by {scale:.2f}." in text
     estimates = load_estimates(one.path.with_name(f"{one.path.stem}.estimates.parquet"))
     np.testing.assert_array_equal(estimates.sigma_nm, said["sigma_nm"][k - 1000 : k + 501].astype(np.float32))
     _, out, _ = run(capsys, tmp_path / "moving.tauext", tmp_path / "pushed.parquet")
-    assert f"|tau_ext| {size:.2f} Nm (standard error {sigma:.2f} Nm), collision limit {limit:.2f} Nm" in out
+    assert f"|tau_ext| {size:.2f} Nm (standard error {sigma:.2f} Nm), collision threshold {limit:.2f} Nm" in out
     _, out, _ = run(capsys, tmp_path / "moving.tauext", tmp_path / "pushed.parquet", "--json", "--status-hz", 1)
     events = [json.loads(line) for line in out.splitlines()]
     (raised,) = (e for e in events if e["event"] == "alarm" and e["alarm"] == "collision")
@@ -362,7 +364,8 @@ def test_a_near_stiction_limit_is_called_so(tmp_path):
     news = flown(bundle, pushed(pushes=pushes, dq=dq), tmp_path)
     text = news[0].path.with_suffix(".txt").read_text()
     assert (
-        f"collision limit of {1.5 * LIMIT_NM:.3f} Nm (near stiction: its speed was +0.0000 rad/s, below 0.02)" in text
+        f"collision threshold of {1.5 * LIMIT_NM:.3f} Nm (near stiction: its speed was +0.0000 rad/s, below 0.02)"
+        in text
     )
     assert "the bundle has no network, so this is tau_ext" in text
 
@@ -534,7 +537,7 @@ def test_the_command_tells_events_and_a_summary_in_lines(place, capsys):
     told = [line for line in lines if "COLLISION" in line]
     assert len(told) == len(raised) == 2
     for line, (row, _, _, _, joint, tau_ext, limit) in zip(told, raised, strict=True):
-        words = f"COLLISION {JOINTS[joint]}: |tau_ext| {abs(tau_ext):.2f} Nm, collision limit {limit:.2f} Nm"
+        words = f"COLLISION {JOINTS[joint]}: |tau_ext| {abs(tau_ext):.2f} Nm, collision threshold {limit:.2f} Nm"
         assert line == f"{row * 1e-3:11.3f} s  {words}"
     assert "samples       6,000" in out and "collision shoulder 1, elbow 1" in out and "worst margin  shoulder -" in out
     assert "flights" not in out and "stood from" not in out

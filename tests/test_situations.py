@@ -57,7 +57,8 @@ def test_a_sentence_names_where_a_joint_is_least_and_most_sure():
     }
     words = sentences(found, {"elbow": "A"})["elbow"]
     assert words == (
-        "least sure standing: limit 4.1 A, standard error 0.9 A; surest sliding: limit 0.3 A, standard error 0.05 A"
+        "least sure standing: threshold 4.1 A, standard error 0.9 A; "
+        "surest sliding: threshold 0.3 A, standard error 0.05 A"
     )
 
 
@@ -72,9 +73,9 @@ def test_show_tells_it_and_what_else_raises_limits(tmp_path, capsys):
     assert main(["show", str(tmp_path / "moving.tauext")]) == 0
     out = capsys.readouterr().out
     assert (
-        "limits sliding [Nm]" in out
+        "thresholds sliding [Nm]" in out
         and "in usual motion" in out
-        and "limit 2 Nm, standard error" not in out.split("standing")[0]
+        and "threshold 2 Nm, standard error" not in out.split("standing")[0]
     )
     assert reason in out and re.search("after contact factor +2$", out, re.MULTILINE)
     assert "least sure" in out and f"{SLIDING}  " in out

@@ -100,7 +100,7 @@ def test_a_force_on_a_link_is_a_suspect_with_its_joints_and_its_link(motion, cle
     assert one.joints == motion.joints and one.link in motion.joints and one.times > 2
     assert one.is_evident and not replace(one, joints=one.joints[:1], times=1.3).is_evident
     first, second = suspect_sentences([one])
-    assert first.startswith("1 suspected touch that nobody reported") and first.endswith("set `contact` to 0 there")
+    assert first.startswith("1 unlabelled contact, ") and first.endswith("set `contact` to 0 there")
     assert f"fits a force on the link of {one.link}" in second and repr(motion.name) in second
 
 
@@ -152,7 +152,7 @@ def test_calibration_gives_the_promise_with_and_without_suspects(motion, clean):
     hours = facts["promise"]["calibration_hours"]  # of a single touch or none, at 95 % [Garwood1936]
     assert promised_per_hour(facts) == pytest.approx(gammaincinv(1, 0.95) / hours)
     assert facts["bound_per_hour"] == pytest.approx(gammaincinv(2, 0.95) / hours)
-    assert "1 suspected touch is left out: at most 1 in" in facts["sentence"]
+    assert "1 unlabelled contact is left out: at most 1 in" in facts["sentence"]
     assert "if it was none, 1 in" in facts["sentence"]
     np.testing.assert_allclose(bundle.sliding_limit_nm, free, rtol=0.15)
-    assert any(one.startswith("1 suspected touch") for one in heard)
+    assert any(one.startswith("1 unlabelled contact") for one in heard)

@@ -363,7 +363,8 @@ def test_a_common_factor_changes_every_weight_by_its_share(arm, loaded_motion, f
     assert (old.com_error_m > exact.com_error_m).all()
     sentence = load_sentences(common, "it", "N m")[0]
     assert sentence.startswith(
-        "load 1.60 kg ± 12 % common to all weights of this bundle (weigh a known load: tauext load --known-kg), ± 0.0"
+        "load 1.60 kg ± 12 % common to all masses found with this bundle (identify a known payload: tauext load "
+        "--known-kg), ± 0.0"
     )
     assert load_sentences(exact, "it", "N m")[0].startswith("load 1.60 ± 0.0")
 
@@ -481,7 +482,7 @@ def test_what_makes_the_error_of_the_constants_is_stated_with_its_remedy(
             assert np.sqrt(np.sum(np.square([*errors.values()]))) == pytest.approx(found.constants_error_kg, rel=1e-6)
     assert "the factor common to all joints 9.7 %" in sentences[0] and "every joint turns" in sentences[0]
     for after in sentences[1:]:
-        assert "of the 0." in after and "A known weight lowers it" in after
+        assert "of the 0." in after and "A known payload lowers it" in after
 
 
 def test_forces_take_the_factors_of_joints(arm, free_motion, loaded_motion, second_motion):
@@ -564,7 +565,8 @@ def test_the_command_says_what_is_carried(tmp_path, arm, loaded_motion, free_mot
     assert main(command) == 0
     said = capsys.readouterr().out
     assert (
-        "load 1.60 kg ± 2.9 % common to all weights of this bundle, ± 0.0" in said and "of the link of joint6" in said
+        "load 1.60 kg ± 2.9 % common to all masses found with this bundle, ± 0.0" in said
+        and "of the link of joint6" in said
     )
     assert "by windows of 4 s each alone, ± from motion: 5 give" in said
     assert main([*command, "--json", "--from", "5", "--to", "10"]) == 0
@@ -575,7 +577,7 @@ def test_the_command_says_what_is_carried(tmp_path, arm, loaded_motion, free_mot
     assert main([*command, "--out", str(tmp_path / "x.tauext")]) == 2
     assert "need --known-kg" in capsys.readouterr().err
     assert main([*command, "--from", "500"]) == 2
-    assert "too few to weigh a load" in capsys.readouterr().err
+    assert "too few to identify a payload" in capsys.readouterr().err
 
 
 def test_the_command_writes_a_bundle_by_a_known_weight(tmp_path, arm, loaded_motion, free_motion, capsys):

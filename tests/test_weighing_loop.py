@@ -76,8 +76,8 @@ def test_a_live_monitor_weighs_when_a_line_asks(arm, recordings, capsys):
     assert abs(told[2].found.mass_kg - MASS) < 0.05 and told[2].found.reach_m == 0.25
     assert not loop.monitor.weighing
     sentences = [change.words(()) for change in told]
-    assert sentences[0] == ["weighing the payload, by a line"]
-    assert sentences[1] == ["0.00 s of healthy motion are too little to weigh a load"]
+    assert sentences[0] == ["identifying the payload, by a line"]
+    assert sentences[1] == ["0.00 s of healthy motion are too little to identify a payload"]
     assert sentences[2][0].startswith("load 1.6")
     facts = told[2].facts(())
     assert facts["found"]["verdict"] == "load" and json.loads(json.dumps(facts)) == facts

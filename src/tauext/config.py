@@ -144,7 +144,7 @@ class ObserverConfig(Settings):
     window_s: Positive = 1.0
     """Wanted length of the network's window, [s]."""
     near_stiction_rad_s: Positive = 0.02
-    """Below this joint speed, [rad/s], a joint counts as near stiction and has a limit of its own."""
+    """Below this joint speed, [rad/s], a joint counts as near stiction and has a threshold of its own."""
 
     @property
     def first_gain_per_s(self) -> float:
@@ -179,7 +179,7 @@ class AlarmConfig(Settings):
     """Conditions of an alarm, and the permitted rate of false alarms."""
 
     false_alarms: Annotated[float, within(1e-6, 1e6)] = 1.0
-    """Largest number of false collisions of the whole arm in in_hours. With calibration recordings, limits and hold
+    """Largest number of false collisions of the whole arm in in_hours. With calibration recordings, thresholds and hold
     time follow from it."""
     in_hours: Annotated[float, within(1e-6, 1e6)] = 8.0
     """Time in which at most false_alarms false collisions may occur, [h]."""
@@ -188,25 +188,25 @@ class AlarmConfig(Settings):
     contacts_an_hour: Annotated[float, within(1e-6, 1e6)] = 2.0
     """Largest number of false contacts of the whole arm an hour; a contact ends by itself."""
     holds_s: Holds = (0.0, 0.002, 0.005, 0.01, 0.02)
-    """Hold times of a collision from which calibration chooses, [s]; a longer one allows lower limits."""
+    """Hold times of a collision from which calibration chooses, [s]; a longer one allows lower thresholds."""
     friction_reserve: Share = 0.2
-    """Share of each joint's friction added to constant limits without calibration recordings: minutes of one day do not
-    show how friction changes with temperature and time."""
+    """Share of each joint's friction added to constant thresholds without calibration recordings: minutes of one day do
+    not show how friction changes with temperature and time."""
     minutes_factor: Annotated[float, within(1, 10)] = 1.4
-    """Factor on limits that follow the error without calibration recordings, for the same reason. With T minutes of
+    """Factor on adaptive thresholds without calibration recordings, for the same reason. With T minutes of
     motion it is 1 + (factor - 1)(1 - e^(-T/4)), since friction_reserve covers the first minutes."""
     after_contact_factor: Annotated[float, within(1, 10)] = 2.0
-    """Factor on the limits of a joint pushed while stuck, from the end of the contact until the joint has slid: its
+    """Factor on the thresholds of a joint pushed while stuck, from the end of the contact until the joint has slid: its
     motion does not determine its friction (recipes tauext and prior); 1: none."""
     collision_hold_s: Seconds = 0.01
-    """Time that a joint must stay over its collision limit before a collision is reported, without calibration
+    """Time that a joint must stay over its collision threshold before a collision is reported, without calibration
     recordings, [s]."""
     contact_hold_s: Seconds = 0.0
-    """Time that a joint must stay over its contact limit before a contact is reported, [s]; 0: the first sample
+    """Time that a joint must stay over its contact threshold before a contact is reported, [s]; 0: the first sample
     reports it."""
     contact_release_s: Seconds = 0.5
-    """Time that all joints must stay within their limits before a contact ends, [s]. Observer and freed arm settle for
-    half a second, which would otherwise sometimes count as another contact."""
+    """Time that all joints must stay within their thresholds before a contact ends, [s]. Observer and freed arm settle
+    for half a second, which would otherwise sometimes count as another contact."""
 
 
 @dataclass(frozen=True)
@@ -218,8 +218,8 @@ class PriorConfig(Settings):
     drop_widths: bool = True
     """Leave out widths below the encoder's resolution and those that do not help on held-out recordings."""
     region_width_rad: Annotated[float, above(0, 10)] = 0.003
-    """Distance that a joint must slide after a reversal before its limit for sliding applies, [rad]; until then it is
-    near stiction."""
+    """Distance that a joint must slide after a reversal before its threshold for sliding applies, [rad]; until then it
+    is near stiction."""
     coulomb_speeds_rad_s: Annotated[Widths, NOT_EMPTY] = (0.003, 0.01, 0.03, 0.06, 0.1, 0.2, 0.4, 1.5)
     """Widths of the smoothed sign of the speed, [rad/s]; the widest models viscous friction that grows less than the
     speed."""
@@ -235,31 +235,31 @@ class PriorConfig(Settings):
 
 @dataclass(frozen=True)
 class DriftConfig(Settings):
-    """The tracker of slow changes of friction and offset (recipes tauext and prior)."""
+    """The adaptive bias: a tracker of slow changes of friction and offset (recipes tauext and prior)."""
 
     time_constant_s: Annotated[
         float, Rule(": 0 (no tracker) or 1 to 1e6", lambda value: value == 0 or 1 <= value <= 1e6)
     ] = 120.0
-    """Time constant of the drift tracker, [s], at least 1; 0: no tracker."""
+    """Time constant of the adaptive bias, [s], at least 1; 0: no tracker."""
     size_share: Annotated[float, within(0, 1e6)] = 0.3
-    """Bound of each of a joint's three drift coefficients, as a share of its friction at 0.5 rad/s."""
+    """Bound of each of a joint's three bias coefficients, as a share of its friction at 0.5 rad/s."""
     least_size_nm: Annotated[float, within(0, 1e6)] = 0.1
-    """Least bound of a drift coefficient, where size_share of the friction is smaller, [N m]."""
+    """Least bound of a bias coefficient, where size_share of the friction is smaller, [N m]."""
     rate_share_per_s: PositiveShare = 1 / 60
-    """Largest change of a drift coefficient in a second, as a share of its bound."""
+    """Largest change of a bias coefficient in a second, as a share of its bound."""
     freeze_share: PositiveShare = 0.5
-    """Share of a joint's limit, above 0 and at most 1: the drift tracker pauses while |tau_ext| of any joint is above
-    it."""
+    """Share of a joint's threshold, above 0 and at most 1: the tracker pauses while |tau_ext| of any joint is
+    above it."""
     freeze_s: Seconds = 1.0
-    """Time for which the drift tracker stays paused after a joint was over freeze_share of its limit, [s]."""
+    """Time for which the tracker stays paused after a joint was over freeze_share of its threshold, [s]."""
     freeze_floor_share: PositiveShare = 0.4
-    """To pause the tracker, |tau_ext| must also be above this share of a coefficient's bound. Limits that follow the
-    error are so low in easy motion that drift alone exceeds them."""
+    """To pause the tracker, |tau_ext| must also be above this share of a coefficient's bound. Adaptive thresholds
+    are so low in easy motion that the adaptive bias alone exceeds them."""
     most_frozen: Annotated[float, Rule(" > 0, below 1", lambda value: 0 < value < 1)] = 0.03
     """Largest share of free motion in which the tracker is paused; the threshold of |tau_ext| is raised to keep it."""
     friction_share: Annotated[float, within(0, 9)] = 1.5
     """Friction that is followed within some strokes, even during contact: 1 / (1 + this) to 1 + this times the friction
-    of training (0: none is). Needs limits that follow the error."""
+    of training (0: none is). Needs adaptive thresholds."""
 
 
 @dataclass(frozen=True)
@@ -319,12 +319,12 @@ class TrainConfig(Settings):
     observer: ObserverConfig = field(default_factory=ObserverConfig)
     """The momentum observer and the rates of the chain."""
     limits: LimitsKind = "auto"
-    """Method of finding limits. asked: for the permitted false alarms, extrapolated where the recordings do not prove
-    them. promised: for the fewest that the dataset's calibration recordings prove. supported: for the fewest that
+    """Method of finding thresholds. asked: for the permitted false alarms, extrapolated where the recordings do not
+    prove them. promised: for the fewest that the dataset's calibration recordings prove. supported: for the fewest that
     validation recordings and held-out training motion prove. paper: the largest errors on validation recordings. auto:
     paper for the recipes paper and dense; else asked."""
     error_scale: OnOff | None = None
-    """Whether limits follow the error predicted from the motion or are constants (None: on for recipes tauext and
+    """Whether thresholds follow the error predicted from the motion or are constants (None: on for recipes tauext and
     prior, off for the others)."""
     fit_torque_constants: bool | None = None
     """Treat the recordings' tau as motor current or another multiple of torque. Find one constant a joint, from the

@@ -214,7 +214,7 @@ class DayComparison:
         folder = self.folder
         better = facts.get("error_ratio", 1.0) < REFIT_WORTH
         better |= (facts.get("per_hour") or 0.0) < (facts.get("before") or 0.0)
-        why = why or ("" if better else "it is no better than the drift tracker alone")
+        why = why or ("" if better else "it is no better than the adaptive bias alone")
         words = f"{name}, refitted to the first strokes of the day, " + (f"is not used: {why}" if why else "passed")
         folder.note("refit", folder.seconds(), words, bundle=name, passed=not why, **facts)
         if not why:

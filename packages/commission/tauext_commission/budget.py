@@ -69,7 +69,7 @@ class Promise(NamedTuple):
     def set_words(self) -> str:
         """What the limits are set for, in a sentence."""
         if self.per_hour is None:
-            return "The limits are set for no rate of false alarms."
+            return "The thresholds have no target false alarm rate."
         rate, hours = duration(1 / self.per_hour), duration(self.hours, "down")
         if self.between_per_hour is None:
             return f"Set for one false alarm in {rate}, as {hours} of free motion prove."
@@ -168,7 +168,7 @@ def alarm_in(budgets: Sequence[Mapping[str, Any]], per_hour: float) -> AlarmConf
     if row := next((one for one in budgets if is_alike(one["per_hour"], per_hour)), None):
         return AlarmConfig(in_hours=1 / row["per_hour"])
     choices = ", ".join(f"{one['per_hour']:g} ({one['text']})" for one in budgets)
-    rule = f"one of {choices}" if choices else "left as it is: no table of budgets is there yet"
+    rule = f"one of {choices}" if choices else "left as it is: there is no table of target false alarm rates yet"
     raise ConfigError(f"false alarms an hour = {per_hour:g} must be {rule}")
 
 

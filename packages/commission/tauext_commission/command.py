@@ -60,12 +60,12 @@ def commission(
         host: address on which the page listens. 127.0.0.1: this computer only; 0.0.0.0: the network, with a token in
             the printed address.
         port: port of the page; if it is in use, the next free one.
-        disk_gb: bound of recordings and flights, [GB]; bundles and logs come on top.
+        disk_gb: bound of recordings and event logs, [GB]; bundles and logs come on top.
         core: processor core of the loop and the receiver of samples. None: any.
         priority: real-time priority (SCHED_FIFO, 1 to 99) of the loop and the receiver of samples. None: normal
             scheduling.
         repair: print what was rebuilt and what is lost, accept it, and train again. Without --source that is all.
-        budget: budget of false alarms. None: the one that was chosen last, 1 in 8 h in a new folder.
+        budget: target false alarm rate. None: the one that was chosen last, 1 in 8 h in a new folder.
     """
     if repair and out is not None:
         repair_folder(out, source)

@@ -185,7 +185,9 @@ def _topic(
         return _signal(judged, diagnosis, robot, facts)
     if topic == "robot-file" and robot is None:
         words = "no robot file: the order of joints, the direction of gravity and a payload cannot be checked"
-        return Remark(topic, "note", None, words, "a robot file (--robot, and a new --out) makes the limits narrower")
+        return Remark(
+            topic, "note", None, words, "a robot file (--robot, and a new --out) makes the thresholds narrower"
+        )
     if topic == "robot-file" and judged and moved_s >= SEARCH_S:
         return _good(topic, f"{robot.name if robot else ''} fits the measured torques")
     needs = f" (needs {SEARCH_S:g} s of motion, {moved_s:.0f} s so far)" if topic == "robot-file" else ""
@@ -321,7 +323,7 @@ def held_rate(watched: Monitored, rate_hz: float, remedy: str) -> list[Remark]:
     if share >= PARTLY:
         return [_good(HELD, f"this computer holds the rate of {rate_hz:g} samples a second")]
     words = f"this computer took the samples in time for only {percent(share)} of the first {watched.of_seconds:.0f} s"
-    return [Remark(HELD, "warning", None, f"{words}; touches in the rest are noticed late or not at all", remedy)]
+    return [Remark(HELD, "warning", None, f"{words}; touches in the rest are detected late or not at all", remedy)]
 
 
 def recording_of(samples: Sequence[Sample], facts: SourceFacts) -> tuple[Recording | None, list[Remark]]:

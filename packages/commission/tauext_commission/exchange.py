@@ -266,7 +266,7 @@ class WarmUp:
             return "the replay is late"
         self.follow(left)
         if old.weighing or holds_back(np.array(old.last.load_phase.value)):
-            return "a load is expected or being weighed"
+            return "a payload is expected or being identified"
         if reason := self.why_not_yet():
             return reason
         for _, act in self._recent.acts(self.row, self.row + 1):  # since the last sample

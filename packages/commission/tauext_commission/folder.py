@@ -395,7 +395,7 @@ class CommissionFolder:
             return
         words = [str(FalseAlarmBudget(one.false_alarms, one.in_hours)) for one in (alarm, now)]
         budget = {"false_alarms": alarm.false_alarms, "in_hours": alarm.in_hours, "by": by}
-        text = f"limits are to allow {words[0]} as false alarms, chosen by {by}; before: {words[1]}"
+        text = f"target false alarm rate {words[0]}, chosen by {by}; before: {words[1]}"
         self.note(BUDGET, self.seconds(), text, **budget)
         self._back_up()
 

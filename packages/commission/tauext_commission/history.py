@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import html
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tauext.bundle.units import in_terms
 from tauext.errors import ConfigError, TauextError
 from tauext.files.atomic_write import atomic_write
 from tauext.fit.tail import FalseAlarmBudget, duration, is_kept
@@ -209,7 +211,7 @@ def write_history(folder: Path, out: Path) -> Path:
     content, history = describe_folder(folder), read_history(folder)
     trainings = [one for one in history if one["kind"] == "training"]
     promises = [one for one in history if one["kind"] == "promise"]
-    state = [(key.replace("_", " "), in_words(value)) for key, value in content.items() if key != "history"]
+    state = [(in_terms(key), in_words(value)) for key, value in content.items() if key != "history"]
     parts = [
         table("State", ("", ""), state),
         chart(trainings, promises),
@@ -220,7 +222,7 @@ def write_history(folder: Path, out: Path) -> Path:
              for one in trainings],
         ),
         table(
-            "What limits are set for, and what happened",
+            "What thresholds are set for, and what happened",
             ("time", "bundle", "set for an hour", "proved an hour", "hours", "false alarms", "kept", ""),
             [[in_words(one.get(key)) for key in
               ("wall", "bundle", "promised_per_hour", "proved_per_hour", "hours", "alarms", "kept", "words")]
@@ -246,11 +248,14 @@ def write_page(path: Path, title: str, parts: Sequence[str]) -> Path:
     style = (
         "body{font:15px/1.5 system-ui,sans-serif;margin:2em auto;max-width:64em;padding:0 1em;color:#222;"
         "background:#fff}table{border-collapse:collapse}td,th{padding:.2em .8em .2em 0;text-align:left;"
-        "vertical-align:top;border-bottom:1px solid #8884}"
+        "vertical-align:top;border-bottom:1px solid #8884;min-width:4.5em;max-width:18em}.wide{overflow-x:auto}"
+        "svg{display:block;width:100%;max-width:34em}"
         "@media(prefers-color-scheme:dark){body{color:#ddd;background:#181818}}"
     )
     title = html.escape(title)
-    text = f'<!doctype html><meta charset="utf-8"><title>{title}</title><style>{style}</style><h1>{title}</h1>'
+    head = '<!doctype html><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
+    head += '<meta name="color-scheme" content="light dark">'
+    text = f"{head}<title>{title}</title><style>{style}</style><h1>{title}</h1>"
     try:
         with atomic_write(path) as part:
             part.write_text(text + "".join(parts) + "\n", encoding="utf-8")
@@ -276,33 +281,52 @@ def table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str
     """A table of HTML; empty without rows."""
     if not rows:
         return ""
-    lines = [f"<h2>{html.escape(title)}</h2>" * bool(title) + "<table>"]
+    lines = [f"<h2>{html.escape(title)}</h2>" * bool(title) + '<div class="wide"><table>']
     if any(head):
         lines.append("<tr>" + "".join(f"<th>{html.escape(one)}</th>" for one in head) + "</tr>")
     lines += ["<tr>" + "".join(f"<td>{html.escape(one)}</td>" for one in row) + "</tr>" for row in rows]
-    return "".join([*lines, "</table>"])
+    return "".join([*lines, "</table></div>"])
 
 
 def chart(trainings: Sequence[dict[str, Any]], promises: Sequence[dict[str, Any]]) -> str:
-    """Detected hits and hours of a false alarm that limits are set for over received hours, as SVG."""
+    """Detected hits and the target time of a false alarm over received hours, as SVG."""
     rows = (
-        ("detected hits", [(one["seconds"], one.get("hits")) for one in trainings], 1.0),
-        ("hours of 1 false alarm that limits are set for", [
-            (one["seconds"], 1 / one["promised_per_hour"]) for one in promises if one.get("promised_per_hour")], None),
+        ("Detected hits, %", [(one["seconds"], one.get("hits")) for one in trainings], 100.0, 100.0),
+        ("Target: hours to one false alarm", [
+            (one["seconds"], 1 / rate) for one in promises if (rate := one.get("promised_per_hour"))], 1.0, None),
     )  # fmt: skip
     drawn = []
-    for title, points, most in rows:
-        known = [(float(x), float(y)) for x, y in points if y is not None]
-        if not known:
-            continue
-        width, height = max(x for x, _ in known) or 1.0, most or max(y for _, y in known)
-        path = " ".join(f"{10 + 580 * x / width:.1f},{110 - 100 * y / height:.1f}" for x, y in known)
-        drawn.append(
-            f'<h2>{html.escape(title)}</h2><svg viewBox="0 0 600 130" width="600" role="img"><polyline points="{path}" '
-            'fill="none" stroke="currentColor" stroke-width="2"/>'
-            + "".join(f'<circle cx="{point.split(",")[0]}" cy="{point.split(",")[1]}" r="3" fill="currentColor"/>'
-                      for point in path.split())
-            + f'<text x="10" y="127" font-size="12" fill="currentColor">0 to {width / 3600:.3g} h of received motion, '
-            f"0 to {height:.3g}</text></svg>"
-        )  # fmt: skip
+    for title, points, times, most in rows:
+        known = [(float(x) / 3600, times * float(y)) for x, y in points if y is not None]
+        if known:
+            drawn.append(f"<h2>{html.escape(title)}</h2>{curve(known, most or max(y for _, y in known))}")
     return "".join(drawn)
+
+
+def curve(points: Sequence[tuple[float, float]], most: float) -> str:
+    """A line through points (hours, value), with axes from 0 to the last hour and to `most`, as SVG."""
+    across, up = ticks(max(x for x, _ in points)), ticks(most)
+    at = [(40 + 340 * x / across[-1], 130 - 120 * y / up[-1]) for x, y in points]
+    grid = [f'<path d="M40 {130 - 120 * y / up[-1]:.1f}H380" stroke="#8886"/>' for y in up]
+    grid += [f'<path d="M{40 + 340 * x / across[-1]:.1f} 130v4" stroke="currentColor"/>' for x in across]
+    words = [(34.0, 134 - 120 * y / up[-1], "end", f"{y:g}") for y in up]
+    words += [(40 + 340 * x / across[-1], 147.0, "middle", f"{x:g}") for x in across]
+    words.append((210.0, 164.0, "middle", "received motion, h"))
+    line = " ".join(f"{x:.1f},{y:.1f}" for x, y in at)
+    return "".join(
+        [
+            '<svg viewBox="0 0 400 170" role="img" font-size="12" fill="currentColor">',
+            *grid,
+            *(f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{text}</text>' for x, y, anchor, text in words),
+            f'<polyline points="{line}" fill="none" stroke="currentColor" stroke-width="2"/>',
+            *(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3"/>' for x, y in at),
+            "</svg>",
+        ]
+    )
+
+
+def ticks(most: float) -> list[float]:
+    """Round numbers from 0 to the first that is `most` or more, five intervals at most."""
+    step = 10.0 ** math.floor(math.log10(most)) / 10 if most > 0 else 1.0
+    step *= next(times for times in (1, 2, 5, 10, 20) if 5 * times * step >= most)
+    return [step * k for k in range(max(math.ceil(most / step - 1e-9), 1) + 1)]

@@ -299,7 +299,7 @@ class Promises:
         active = folder.active()
         assert active is not None
         out = folder.next_bundle()
-        folder.progress(f"limits of {out.stem}")
+        folder.progress(f"thresholds of {out.stem}")
         started = time.monotonic()
         segments = segments_of_arm(folder)
         calibration.learn([], segments)
@@ -309,7 +309,7 @@ class Promises:
             motion = LimitMotion(out.stem, alarm, THREADS, peaks=calibration.peaks, suspects=calibration.suspects())
             limits = LIMITS["asked"](bundle, motion)
         except TauextError as error:
-            folder.note("note", folder.seconds(), f"no limits from calibration: {error}")
+            folder.note("note", folder.seconds(), f"no thresholds from calibration: {error}")
             return calibration.renewed()
         if can_take(Promise.of_limits(limits), chosen):
             limits = put_budget(bundle, limits, chosen)
@@ -318,7 +318,7 @@ class Promises:
         happened, more = kept_of(folder.path, active.stem, folder.seconds()), ""
         if raised := raise_limits(bundle, load_bundle(active), happened, promise.per_hour):
             words = ", ".join(f"{joint} by {factor - 1:.0%}" for joint, factor in raised.items())
-            more = f" Limits are raised for false alarms that the calibration does not contain: {words}."
+            more = f" Thresholds are raised for false alarms that the calibration does not contain: {words}."
             sentence += more
         facts = json.loads(bundle.provenance or "{}")
         recordings = sorted({name for name, *_ in calibration.spans})
@@ -331,12 +331,14 @@ class Promises:
         tests = [one for one in segments if one.set == "test"]
         found, why = self._judged(out.stem, up_to(tests[::-1], MOST_TEST_S)[::-1], not happened.kept)
         if why and found:
-            folder.note("note", folder.seconds(), f"{out.stem} with new limits does not replace {active.stem}: {why}")
+            folder.note(
+                "note", folder.seconds(), f"{out.stem} with new thresholds does not replace {active.stem}: {why}"
+            )
             for path in folder.bundles.glob(f"{out.stem}.*"):
                 path.unlink(missing_ok=True)
             return calibration.renewed()
         worse = f"; {found['worse']}" if found.get("worse") else ""
-        folder.activate(out.stem, f"limits from {calibration.hours:.2g} h of this work{worse}", folder.seconds())
+        folder.activate(out.stem, f"thresholds from {calibration.hours:.2g} h of this work{worse}", folder.seconds())
         self._note_promise(out.stem, promise, sentence, more)
         calibration.renewed()  # last: after a kill, the limits are found again
 
@@ -372,13 +374,13 @@ class Promises:
         active = folder.active()
         assert active is not None
         out, bundle = folder.next_bundle(), load_bundle(active)
-        folder.progress(f"limits of {out.stem}")
+        folder.progress(f"thresholds of {out.stem}")
         before, old = promise_of(folder.path, active.stem), np.array(bundle.sliding_limit_nm)
         bundle.name = out.stem
         about = provenance("tauext commission", {"bundle": active.name, "budget": once_in(chosen)}, seed=None)
         limits = self._write_chosen(bundle, out, chosen, about | {"base": base_of(folder, active.stem)})
         share = float((np.array(bundle.sliding_limit_nm) / old)[np.isfinite(old)][0])
-        why = f"limits for {once_in(chosen)}, {share:.0%} of those for {before.short().partition(' (')[0]}"
+        why = f"thresholds for {once_in(chosen)}, {share:.0%} of those for {before.short().partition(' (')[0]}"
         folder.activate(out.stem, why, folder.seconds())
         self._note_promise(out.stem, Promise.of_limits(limits), limits["sentence"])
 

@@ -387,7 +387,7 @@ class Commission:
                 carried = (folder.path / CARRIED).read_bytes()
                 is_answered = bool((self._alarm_journal.event(newest) or {}).get("answer"))
                 if reason := loop.start_from(carried, newest, is_answered):
-                    self._note(f"drift and alarm of the last run are not continued: {reason}")
+                    self._note(f"adaptive bias and alarm of the last run are not continued: {reason}")
         self._source, self._record, self._flights, self._loop = source, record, flights, loop
         self.current_loop.loop = loop
         if self._by:  # stopped meanwhile
@@ -541,7 +541,7 @@ class Commission:
         for news in self._flights.news() if self._flights is not None else ():
             self._alarm_journal.flown(news)
             if news.error:
-                self._note(f"flight of the {news.what} lost: {news.error}")
+                self._note(f"event log of the {news.what} lost: {news.error}")
 
     def _show_news(self) -> None:
         """Print what trainings have added to the history."""

@@ -395,7 +395,7 @@ def why_not(new: EvaluatedBundle, old: EvaluatedBundle | None, is_broken: bool =
         return f"it rejects {rejected.share:.1%} of the motion ({causes})"
     if free.promise_kept is False:
         return (
-            f"{free.false_collisions} false alarms in {60 * free.hours:.1f} min, where its limits allow at most "
+            f"{free.false_collisions} false alarms in {60 * free.hours:.1f} min, where its thresholds allow at most "
             f"{free.at_most_per_hour:.3g} an hour"
         )
     if old is None or not old.free_motion.hours:
@@ -434,8 +434,8 @@ def why_worse(new: EvaluatedBundle, old: EvaluatedBundle, is_broken: bool, error
         is_rarer = rate is not None and (rate_before is None or rate < rate_before)
         may_lose = [
             ("it has fewer false alarms", false < before),
-            ("its limits are set for rarer false alarms", is_rarer),
-            (f"{old.name} has more false alarms than its limits state", is_broken),
+            ("its thresholds are set for rarer false alarms", is_rarer),
+            (f"{old.name} exceeds its target false alarm rate", is_broken),
             (f"up to {MOST_HITS_LOST:.0%} of the hits less are accepted", True),
         ]
         reason = next(words for words, holds in may_lose if holds)

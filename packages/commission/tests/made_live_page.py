@@ -38,7 +38,7 @@ JOINTS = {
     ),
 }
 SENTENCE = "Touched at joint2, 28 to 42 N"
-DETAILS = "COLLISION, a push on the link of joint2: 12.4 Nm at joint2, limit 5.6 Nm"
+DETAILS = "COLLISION, a push on the link of joint2: 12.4 Nm at joint2, threshold 5.6 Nm"
 SHARES = {"partly": (0.972, 1), "blind": (0.613, 2)}
 """Share of the last minute that was monitored, and its level."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from made_live_page import LIMITS
 from tauext_commission import budget
 from tauext_commission.budget import Promise, alarm_in, alarm_to_train, can_take, chosen_alarm, put_budget, row_at
 from tauext_commission.folder import CommissionFolder
-from tauext_commission.history import Kept
+from tauext_commission.history import Kept, curve, ticks
 
 from tauext.cli import main
 from tauext.config import AlarmConfig
@@ -35,7 +36,7 @@ RARE = LIMITS | {"extrapolated": LIMITS["extrapolated"] | {"between_per_hour": [
 @pytest.mark.parametrize(
     ("limits", "words"),
     [
-        ({}, "The limits are set for no rate of false alarms."),
+        ({}, "The thresholds have no target false alarm rate."),
         (PROVED, "Set for one false alarm in 8 h, as 25 h of free motion prove."),
         (
             LIMITS,
@@ -109,10 +110,7 @@ def test_the_newest_choice_counts_and_trainings_begin_at_the_rarest_budget(tmp_p
     folder.choose(AlarmConfig(), "page")
     assert not folder.history()
     folder.choose(AlarmConfig(in_hours=1.0), "page")
-    assert (
-        folder.history()[-1]["words"]
-        == "limits are to allow 1 in 1 h as false alarms, chosen by page; before: 1 in 8 h"
-    )
+    assert folder.history()[-1]["words"] == "target false alarm rate 1 in 1 h, chosen by page; before: 1 in 8 h"
     assert chosen_alarm(folder.path).in_hours == 1.0 and alarm_to_train(folder.path) == AlarmConfig()
     folder.choose(AlarmConfig(in_hours=24.0), "command")
     assert alarm_to_train(CommissionFolder.open(folder.path).path).in_hours == 24.0
@@ -127,3 +125,15 @@ def test_an_impossible_budget_is_refused_before_a_folder_is_made(tmp_path, capsy
         assert ended.code == 2
     assert option.strip("-").replace("-", "_") in capsys.readouterr().err.replace("-", "_")
     assert not (tmp_path / "cell").exists()
+
+
+def test_a_curve_of_the_history_lies_between_the_numbers_of_its_axes():
+    drawn = curve([(0.5, 10.0), (7.0, 30.0)], 100.0)
+    words = re.findall(r'<text x="([\d.]+)" y="([\d.]+)" text-anchor="(\w+)">([\d.]+)<', drawn)
+    across = {float(text): float(x) for x, _, anchor, text in words if anchor == "middle"}
+    up = {float(text): float(y) - 4 for _, y, anchor, text in words if anchor == "end"}
+    assert list(across) == [0, 2, 4, 6, 8] and list(up) == [0, 20, 40, 60, 80, 100]
+    (x, y), (later, above) = (map(float, one) for one in re.findall(r'<circle cx="([\d.]+)" cy="([\d.]+)"', drawn))
+    assert across[0] < x < across[2] and across[6] < later < across[8]
+    assert up[20] < y < up[0] and up[40] < above < up[20]
+    assert ticks(0.0) == [0, 1] and ticks(24.0)[-1] == 25 and ticks(0.03)[-1] == pytest.approx(0.03)

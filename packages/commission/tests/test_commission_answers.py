@@ -115,7 +115,7 @@ def test_an_alarm_is_shown_asked_about_and_answered(tmp_path):
         assert "(Contact: " in contact and collision.startswith(
             f"alarm 1: Touched at {JOINTS[0]} or beyond it (COLLISION"
         )
-        assert collision.endswith("limit 2 Nm); answer: `touched 1` or `nothing 1`") and JOINTS[0] in collision
+        assert collision.endswith("threshold 2 Nm); answer: `touched 1` or `nothing 1`") and JOINTS[0] in collision
         assert shown["bundle"] == one.bundle.name and len(shown["tau_ext"]) == len(shown["q"]) == len(JOINTS)
         assert [label.answer for label in read_labels(one.folder.path)] == ["unanswered"]
         assert obey("nothing 7", one.current_loop, "test") == "error: nothing: there is no alarm 7; the newest is 1"
@@ -178,7 +178,7 @@ def test_an_alarm_has_the_torque_of_its_peak_with_the_limit_there_less_what_is_e
     place = PlaceChange(5, 50, 2, 1, 0.1, links, (), best, 0.1, 84.3, (70.0, 101.0), 0.5, None, 3)
     _, placed = facts(50, -21.0, 3.0, 0.0, place)
     assert placed["sentence"] == "Touched at b, 70 to 100 N"
-    assert placed["details"] == "COLLISION on the link of b: 21 Nm at b, limit 3 Nm"
+    assert placed["details"] == "COLLISION on the link of b: 21 Nm at b, threshold 3 Nm"
     _, later = facts(60, 2.6, 2.55, 0.0, replace(place, row=6, t_ns=60))  # weaker: the peak stays
     assert later["details"] == placed["details"] and later["newtons_interval"] == [70.0, 101.0]
 
@@ -187,7 +187,7 @@ def test_suspects_are_labels_and_a_line_of_the_history(tmp_path):
     folder = CommissionFolder.open(tmp_path / "cell", create=True)
     one = Suspect("seg-000001", 0, 0, 500_000_000, 0, ("a", "b"), 1.6, "a", epoch=1)
     put_suspects(folder, [one, replace(one, joints=("a",), times=3.0, from_ns=2_000_000_000)], "b0001")
-    assert words(folder)[-1].startswith("2 suspected touches that nobody reported, ")
+    assert words(folder)[-1].startswith("2 unlabelled contacts, ")
     assert [one.answer for one in read_labels(folder.path)] == ["suspect"] * 2  # all are left out of training
 
 

@@ -268,10 +268,10 @@ def test_a_budget_of_the_table_is_chosen_and_any_other_is_refused(tmp_path):
         assert chosen_alarm(folder).in_hours == 1 / 6
         state = json.loads(get(port, "/state")[1])
         assert state["limits"]["chosen_per_hour"] == 6 and state["limits"]["per_hour"] == 0.125
-        assert state["history"][-1]["words"].startswith("limits are to allow 1 in 10 minutes")
+        assert state["history"][-1]["words"].startswith("target false alarm rate 1 in 10 minutes")
         (folder / "bundles" / "b0004.tauext").unlink()
         status, content, _ = post(port, "/budget", {"per_hour": 1})
-        assert status == 409 and b"no table of budgets is there yet" in content
+        assert status == 409 and b"there is no table of target false alarm rates yet" in content
 
 
 def test_a_refusal_and_a_loop_that_is_gone_are_reported(tmp_path):

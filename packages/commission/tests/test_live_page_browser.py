@@ -29,7 +29,7 @@ RED = {
 """States in which nothing is monitored, and why."""
 
 
-MORE = "Counted: 9 false alarms in 24 h. That is more than stated: limits are raised."
+MORE = "Counted: 9 false alarms in 24 h. That is more than stated: thresholds are raised."
 ROWS = [
     ["8", "h", "45", "N", "118", "N"],
     ["1", "h", "36", "N", "94", "N"],
@@ -221,10 +221,17 @@ def test_a_state_is_shown(browser, tmp_path, state, arm, width, height, scheme):
             rows = page.value("[...document.querySelectorAll('#budgets tr')].map(row => row.innerText)")
             assert [row.split() for row in rows[1:]] == ROWS
             page.value("document.querySelectorAll('#budgets input')[1].click()")
-            until(lambda: "1 in 1 h is chosen. Its limits take over" in text(), "the choice")
+            until(lambda: "1 in 1 h is chosen. Its thresholds take over" in text(), "the choice")
             assert chosen_alarm(tmp_path / "cell7").in_hours == 1.0
         if state == "alarm":
             until(lambda: "The alarm stands until" in text(), "the alarm")
+            assert page.value("scrollTo(0, 900), scrollY > 300 && alarm.getBoundingClientRect().top >= 0"), (
+                "out of view"
+            )
+            cut = (
+                "[...document.querySelectorAll('.joint *')].filter(e => e.clientWidth && e.scrollWidth > e.clientWidth)"
+            )
+            assert page.value(f"{cut}.map(e => e.innerText)") == []
             page.value("document.getElementById('nothing').click()")
             until(lambda: loop.received == ["nothing 17"], "the answer")
         if state == "answered":
@@ -296,7 +303,7 @@ def test_a_link_is_pushed_with_the_pointer_and_a_trace_is_drawn(browser, tmp_pat
         until(lambda: any(one.startswith("sim push joint=joint") for one in loop.received), "the push")
         size, why = page.value("push_words(live.q)")
         assert 20 <= int(size.removesuffix(" N")) <= 50 and (
-            "below the limit of" in why or why == "this force turns no joint"
+            "below the threshold of" in why or why == "this force turns no joint"
         )
         near = "(pushed.x = pushed.x0 + 2, pushed.y = pushed.y0, push_words(live.q))"  # the arm moves on meanwhile
         assert page.value(near) == ["1 N", "drag further"]

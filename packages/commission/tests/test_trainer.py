@@ -147,7 +147,10 @@ def test_a_bundle_that_rejects_or_alarms_does_not_monitor(copy, monkeypatch):
     for change, why in (
         ({"sliding_limit_nm": [0.01, 0.01], "near_stiction_limit_nm": [0.01, 0.01]}, "it reports collisions during"),
         ({"possible_speed_rad_s": [0.5, 0.5]}, "it rejects"),
-        ({"sliding_limit_nm": [90.0, 90.0], "near_stiction_limit_nm": [90.0, 90.0]}, "fault: joint1: the limit of a"),
+        (
+            {"sliding_limit_nm": [90.0, 90.0], "near_stiction_limit_nm": [90.0, 90.0]},
+            "fault: joint1: the threshold of a",
+        ),
         ({"sliding_limit_nm": [0.2, 0.2], "near_stiction_limit_nm": [0.2, 0.2]}, "false alarms in"),
     ):
         path.write_text(json.dumps(content))
@@ -325,7 +328,7 @@ def test_a_chosen_budget_changes_the_limits_of_the_bundle_in_charge_at_once(copy
         np.testing.assert_allclose(getattr(new, name), share * np.array(getattr(old, name)))
     assert all(np.array(new.contact_sliding_limit_nm) <= new.sliding_limit_nm)
     assert list(new.prior.weights) == list(old.prior.weights) and promises.base_of(copy, "b0002") == "b0001"
-    assert words(copy)[-2].startswith(f"b0002 is chosen: limits for 1 in 1 h, {share:.0%} of those for 1 in 8 h")
+    assert words(copy)[-2].startswith(f"b0002 is chosen: thresholds for 1 in 1 h, {share:.0%} of those for 1 in 8 h")
     assert words(copy)[-1].startswith("Set for one false alarm in 1 h, extrapolated from 4")
     assert describe_folder(copy.path)["budget"] == "1 in 1 h"
     copy.choose(AlarmConfig(in_hours=8.0), "page")
@@ -565,7 +568,7 @@ def test_a_training_refused_for_the_whole_stream_names_a_remedy_that_the_command
         (judged(1, 40, promised=2.0), "it detects 40% of the hits, old 80%"),
         (judged(0, 70), ""),
         (judged(3, 90), "3 false alarms, 1 with old"),
-        (judged(5, 80, kept=False), "5 false alarms in 60.0 min, where its limits allow at most 4.5 an hour"),
+        (judged(5, 80, kept=False), "5 false alarms in 60.0 min, where its thresholds allow at most 4.5 an hour"),
         (judged(1, 80, rejected=0.03), "it rejects 3.0% of the motion (clock 3.0%)"),
     ],
 )
@@ -581,8 +584,13 @@ def test_a_bundle_is_replaced_by_none_that_is_worse(new, why):
         (judged(1, 80), False, 1.0, ""),
         (judged(0, 85), False, 0.9, ""),
         (judged(1, 76), False, 1.0, "it detects 76.0% of the hits, old 80.0%: up to 5% of the hits less are accepted"),
-        (judged(1, 50, promised=2.0), False, 1.0, "it detects 50.0% of the hits, old 80.0%: its limits are set for"),
-        (judged(1, 50), True, 1.0, "it detects 50.0% of the hits, old 80.0%: old has more false"),
+        (
+            judged(1, 50, promised=2.0),
+            False,
+            1.0,
+            "it detects 50.0% of the hits, old 80.0%: its thresholds are set for",
+        ),
+        (judged(1, 50), True, 1.0, "it detects 50.0% of the hits, old 80.0%: old exceeds its target"),
         (judged(0, 70), False, 1.0, "it detects 70.0% of the hits, old 80.0%: it has fewer false alarms"),
         (judged(2, 80), False, 1.0, "it has 2 false alarms, old 1: one more may be chance"),
         (judged(1, 80), False, 1.2, "its error is 1.20 times that of old"),

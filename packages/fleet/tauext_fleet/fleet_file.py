@@ -60,8 +60,8 @@ train.minutes = 20          # what differs for this arm
 name = "cell-03"
 type = "ur10e"
 dataset = "datasets/cell-03"        # imported or simulated already, instead of sources
-calibration = "datasets/cell-03-nights"  # the stage calibrate: new limits, on the calibration recordings of another
-calibrate = { false_alarms = 1.0, in_hours = 24.0 }   # dataset, for another promise, or both; else train's limits stay
+calibration = "datasets/cell-03-nights"  # the stage calibrate: new thresholds, on the calibration recordings of another
+calibrate = { false_alarms = 1.0, in_hours = 24.0 }   # dataset, for another rate, or both; else train's thresholds stay
 """
 
 

@@ -105,7 +105,7 @@ class Like(Start):
         if loud:
             run.notes.append(
                 f"errors are larger than the fleet's by {', '.join(loud)}: this arm differs from the others there, and "
-                "its limits are raised as much"
+                "its thresholds are raised as much"
             )
         return {"hours": rows.hours, "like": by_joint}
 
@@ -119,10 +119,11 @@ class Like(Start):
         contact = np.array([errors.contact_sliding_limit_nm, errors.contact_near_stiction_limit_nm])
         set_limits(bundle, limits, run.config.alarm, contact, (errors.hold_s, errors.contact_hold_s))
         words = (
-            f"limits are those of {errors.arms} arms of this type that had {errors.minutes:g} min of their own and the "
-            f"prior of the others, on {60 * errors.hours:.0f} min of the rest of their motion, and as large as this "
-            f"arm's own errors beside theirs. {errors.facts['sentence']} They are {errors.facts['arms_factor']:.2f} "
-            "times that, so that none of these arms was over limits that the others ask for."
+            f"thresholds are those of {errors.arms} arms of this type that had {errors.minutes:g} min of their own and "
+            f"the prior of the others, on {60 * errors.hours:.0f} min of the rest of their motion, and as large as "
+            f"this arm's own errors beside theirs. {errors.facts['sentence']} They are "
+            f"{errors.facts['arms_factor']:.2f} times that, so that none of these arms exceeded the thresholds that "
+            "the others ask for."
         )
         return words, dict(errors.facts) | {"sentence": words, "like": True}
 

@@ -195,7 +195,7 @@ def make_fleet_prior(
     if errors is None:
         report.say(
             f"{len(new)} arms have more motion than a minute; with fewer than {LEAST_JUDGED} a new arm's errors are "
-            "unknown, and its limits will follow from its own minute"
+            "unknown, and its thresholds will follow from its own minute"
         )
     days = fleet_days([one.factors for one in evidence])
     prior = replace(prior, errors=errors, coverage=common_coverage(own, config, gain), days=days)

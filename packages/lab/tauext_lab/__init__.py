@@ -21,7 +21,7 @@ EVALUATE = Command(
     "measure errors, false alarms and delays of bundles on a dataset", "tauext_lab.commands:evaluate", title="Results"
 )
 REPORT = Command(
-    "draw an HTML page of results, one flight or commissioned arms", "tauext_lab.commands:report", title="Results"
+    "draw an HTML page of results, one event log or commissioned arms", "tauext_lab.commands:report", title="Results"
 )
 BENCH = Command(
     "compare methods, also your own, at equal false alarms on recordings with contacts",

@@ -48,8 +48,7 @@ def simulate(
         minutes: minutes of free motion in all, cut into at least 20 recordings of at most 90 s.
         collision_recordings: number of recordings with about ten collisions each.
         seed: seed of motions, noise and collisions.
-        calibration_hours: additional hours of free motion, for limits alone; 24 support a promise of 1 false alarm in 8
-            hours.
+        calibration_hours: additional hours of free motion, for thresholds alone; 24 prove 1 false alarm in 8 hours.
         test_hours: additional hours of free motion, to test on.
         encoder_bits: resolution of the joint encoders, as a power of two: counts in one turn.
         friction: factor on Coulomb, static and viscous friction of every joint.
@@ -108,8 +107,8 @@ def evaluate(
         data: dataset folder; its test and collision recordings are used.
         out: results folder to write: results.json and estimates/; existing results are replaced, and named on stderr.
         bundles: bundles (*.tauext) to compare; the results name them by their file names.
-        baselines: also train every known method on the dataset into OUT/bundles, with limits for the same budget of
-            false alarms, and compare them and trivial detectors; existing bundles are used again.
+        baselines: also train every known method on the dataset into OUT/bundles, with thresholds for the same target
+            false alarm rate, and compare them and trivial detectors; existing bundles are used again.
         case: model case of the baselines, as in train.
         robot: URDF or MJCF of the baselines; default: the dataset's own.
         seed: seed of the baselines' training and of the choice of the ten collisions.
@@ -186,7 +185,7 @@ def report(
     page_mb: float = 9.5,
     trace_methods: tuple[str, ...] = (),
 ) -> None:
-    """Draw Table I and the paper's figures from results, or one flight: an HTML page and PNG figures.
+    """Draw Table I and the paper's figures from results, or one event log: an HTML page and PNG figures.
 
     Give --results and --data, or --flight. The page holds traces that can be zoomed; it is one file and needs no
     network. Or give a folder of `tauext commission` for a page of its history, or several for one table of the arms.
@@ -196,7 +195,7 @@ def report(
         out: folder to write the page and its figures to; an existing page is replaced, and named on stderr.
         results: results folder to draw, made by `tauext evaluate`.
         data: dataset folder that was evaluated.
-        flight: flight to draw (FLIGHT.parquet, `tauext run --flights` writes them), or a folder of flights: each
+        flight: event log to draw (LOG.parquet, `tauext run --flights` writes them), or a folder of them: each
             gets a page, and index.html lists them.
         page_mb: largest size of the page, [MB]; traces take the space that is left. 0: no traces.
         trace_methods: names of the bundles whose traces the page holds; default: the best five.
@@ -217,7 +216,7 @@ def report(
         if results is not None or data is not None:
             raise ConfigError("give either --results and --data, or --flight; not both")
         if trace_methods:
-            raise ConfigError("--trace-methods chooses among the methods of --results; a flight has one")
+            raise ConfigError("--trace-methods chooses among the methods of --results; an event log has one")
         report_flight(flight, out, page_mb)
     elif results is not None and data is not None:
         print_replaced(out / "report.html")
@@ -225,8 +224,8 @@ def report(
     else:
         missing = "--results" if results is None else "--data"
         raise ConfigError(
-            f"{missing} is missing: give --results and --data for a report of results, --flight for one flight, or a "
-            "folder of `tauext commission`"
+            f"{missing} is missing: give --results and --data for a report of results, --flight for one event log, or "
+            "a folder of `tauext commission`"
         )
 
 
@@ -236,7 +235,7 @@ def report_flight(flight: Path, out: Path, page_mb: float) -> None:
 
     there = {page.name for page in out.glob("*.html")}
     if flight.is_dir():
-        with Terminal().progress("draw the flights") as show:
+        with Terminal().progress("draw the event logs") as show:
             page = write_flights_report(flight, out, page_mb, show)
     else:
         page = write_flight_report(flight, out, page_mb)

@@ -102,7 +102,7 @@ class OwnNetwork(Start):
         if self.limit_nm is None or run.config.limits != "auto":
             return None
         set_limits(bundle, np.tile(self.limit_nm, (2, 1)), run.config.alarm)
-        words = f"limits are {LIMIT} of {self.file}, and promise nothing"
+        words = f"thresholds are {LIMIT} of {self.file}, with no target false alarm rate"
         return words, {"sentence": words}
 
 

@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from tauext._core import Bundle
     from tauext_lab.evaluate.results import NoticedAt, NoticedForce
 
-BLIND = "blind"
+UNOBSERVABLE = ">1000"
 
 
 def show_force(file: Path, as_json: bool, data: Sequence[Path], frames: Sequence[str], picture: Path | None) -> None:
-    """Print what force on a link a bundle notices, and draw it if `picture` is given."""
+    """Print the smallest force on a link that a bundle detects, and draw it if `picture` is given."""
     if file.suffix != ".tauext":
         raise ConfigError(f"{file}: --force needs a bundle (*.tauext)")
     expect_picture(picture)
@@ -53,12 +53,12 @@ def describe_force(file: Path, data: Sequence[Path], frames: Sequence[str]) -> t
     points(bundle, frames)  # refuses before hours of recordings are read
     if data:
         found = over_recordings(bundle, data, frames)
-        of = f"of {', '.join(path.name for path in data)}, with the limits as they held there"
+        of = f"of {', '.join(path.name for path in data)}, with the thresholds that applied there"
     else:
         found = noticed_in_usual_motion(bundle, frames)
         of = (
-            "that the bundle keeps of its training's motion, with its limits in usual motion (after a stop or while it "
-            "speeds up they are higher; --data shows them)"
+            "that the bundle keeps of its training's motion, with its thresholds in usual motion (after a stop or "
+            "while it speeds up they are higher; --data shows them)"
         )
     return {"bundle": bundle.name, "poses_of": of, "torque_share": largest_share(bundle)}, found
 
@@ -79,7 +79,9 @@ def over_recordings(bundle: Bundle, data: Sequence[Path], frames: Sequence[str])
         held.add(recording, free_part(recording, estimates))
     found = held.summary(bundle, frames)
     if found is None:
-        raise ConfigError(f"{', '.join(map(str, data))}: no sample of free motion has limits; give longer recordings")
+        raise ConfigError(
+            f"{', '.join(map(str, data))}: no sample of free motion has thresholds; give longer recordings"
+        )
     return found
 
 
@@ -98,30 +100,30 @@ def force_lines(conditions: dict, found: NoticedForce) -> list[str]:
     from tauext_lab.report.force_figures import CLOSING, joined, left_out_words, surely
 
     lines = [
-        f"{conditions['bundle']}: smallest force [N] that goes over a limit, "
-        f"over {found.poses} poses {conditions['poses_of']}.",
+        f"{conditions['bundle']}: minimum detectable force [N], over {found.poses} poses {conditions['poses_of']}.",
         "x, y, z (of the base) and the worst way: median pose / worst pose. "
         "Every way: median over poses and ways / 9 of 10 are below it.",
-        f"{BLIND}: more than 1000 N, or no joint feels it at all.",
+        f"{UNOBSERVABLE}: unobservable, more than 1000 N or no joint feels it at all.",
     ]
     for name, entries in joined(found.limits).items():
-        lines += ["", f"limit: {name}", *aligned([HEADING, *map(cells, entries)])]
+        lines += ["", f"threshold: {name}", *aligned([HEADING, *map(cells, entries)])]
     holds, error_share = found.hold_s, found.error_share or 0.0
-    levels = [f"{k} after {1e3 * s:.0f} ms (held for {1e3 * holds[k]:g} ms)" for k, s in found.twice_after_s.items()]
+    levels = [f"{k} after {1e3 * s:.0f} ms (hold time {1e3 * holds[k]:g} ms)" for k, s in found.twice_after_s.items()]
     return [
         *lines,
         "",
         f"Of a force that stays: the observer shows 1 - exp(-K0 t) of it, K0 = {found.gain_per_s:g} 1/s. "
-        f"Twice such a force is reported as a {' and as a '.join(levels)}. A shorter impact may peak higher unnoticed.",
+        f"Twice such a force is reported as a {' and as a '.join(levels)}. A shorter impact may peak higher "
+        "undetected.",
         f"The estimate of such a force errs by {error_share:.0%} of it (one standard error; the torque constants alone "
-        f"by {conditions['torque_share']:.0%}): 19 of 20 forces go over the limit from {surely(error_share):.2g} times "
-        "these on. A joint at rest may hide a push behind its friction.",
+        f"by {conditions['torque_share']:.0%}): 19 of 20 forces exceed the threshold from {surely(error_share):.2g} "
+        "times these on. A joint at rest may hide a push behind its friction.",
         *([without] if (without := left_out_words(found.left_out)) else []),
         CLOSING,
     ]
 
 
-HEADING = ["", "every way", "x", "y", "z", "worst way", "blind in"]
+HEADING = ["", "every way", "x", "y", "z", "worst way", "unobservable in"]
 
 
 def cells(at: NoticedAt) -> list[str]:
@@ -132,4 +134,4 @@ def cells(at: NoticedAt) -> list[str]:
 
 
 def force(value: float | None) -> str:
-    return BLIND if value is None else f"{value:.3g}" if value < 100 else f"{value:.0f}"
+    return UNOBSERVABLE if value is None else f"{value:.3g}" if value < 100 else f"{value:.0f}"

@@ -230,7 +230,7 @@ def test_calibrate_refuses_limits_that_hardly_a_touch_exceeds(dataset, tmp_path,
     capsys.readouterr()
     assert calibrated(bundle, dataset, out, *budget) == 2
     said = capsys.readouterr()
-    assert said.out == "" and "so its limits are refused" in said.err and "limit-wide (joint joint2)" in said.err
+    assert said.out == "" and "so its thresholds are refused" in said.err and "limit-wide (joint joint2)" in said.err
     assert not out.parent.exists() or not [one for one in out.parent.iterdir() if "half-done" not in one.name]
     assert calibrated(bundle, dataset, out, *budget, "--accept", "limit-wide:joint2") == 0
     found = json.loads(_core.Bundle.load(str(out)).provenance)["limit_findings"]
@@ -252,13 +252,13 @@ def test_a_worse_promise_replaces_a_better_one_only_if_asked_for_or_accepted(dat
     assert calibrated(good, dataset, bad, *wide) == 2
     said = capsys.readouterr().err
     compared = r"1 in 1[89][.\d]* s from 5[.\d]+ s, in place of 1 in 8 h from 24.5 h of calibration in good.tauext"
-    assert re.search(f"promise of false alarms: {compared}\n", said), said
+    assert re.search(f"false alarm rate that the data prove: {compared}\n", said), said
     assert re.search(rf"promise-worse: [^\n]*\n      {compared}\n      -> keep the bundle, record [.\d]+ h more", said)
     assert "--accept promise-worse" in said and not bad.exists()
     assert calibrated(good, dataset, bad, *wide, "promise-worse") == 0
     facts = json.loads(_core.Bundle.load(str(bad)).provenance)
     assert "promise-worse" in [one["code"] for one in facts["limit_findings"]]
-    assert re.fullmatch(f"promise of false alarms: {compared}", facts["limits"]["replaces"])
+    assert re.fullmatch(f"false alarm rate that the data prove: {compared}", facts["limits"]["replaces"])
     capsys.readouterr()
     assert main(["show", str(bad)]) == 0
     assert "fault: promise-worse  " in capsys.readouterr().out

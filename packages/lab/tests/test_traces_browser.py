@@ -221,7 +221,7 @@ def test_the_pointer_shows_values_with_their_unit(page):
     page.mouse.move(place["x"] + 500, place["y"] + 120)
     lines = page.locator("#traces .values").inner_text().splitlines()
     assert lines[0].startswith("joint1 at ") and lines[1].startswith("external torque") and lines[1].endswith(" Nm")
-    assert lines[2].startswith("limit ±")
+    assert lines[2].startswith("threshold ±")
 
 
 def test_an_address_opens_what_it_names_and_says_what_is_not_there(browser, file):

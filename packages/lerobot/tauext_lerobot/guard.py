@@ -90,7 +90,7 @@ class GuardEvent:
             return "the guard has an estimate again"
         if self.kind == "over":
             return f"{self.joint} is free again"
-        what = "stalls" if self.kind == "stall" else "grips beyond the declared torque"
+        what = "stalls" if self.kind == "stall" else "grips beyond the expected torque"
         return f"{self.joint} {what}: {self.torque:.2g} {self.unit}, at most {self.most:.2g} {self.unit} is usual"
 
 

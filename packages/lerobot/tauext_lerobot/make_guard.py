@@ -50,7 +50,7 @@ def guard(
     """Make a guard of a servo arm against stalls, from about ten minutes of its usual motion.
 
     Writes a folder for LeRobot's `--robot.type=tauext_guard --robot.guard=DIR`: arm.toml, the bundle arm.tauext, and
-    guard.toml with the torques that are usual and the declared grip of the gripper. The folder appears complete or not
+    guard.toml with the torques that are usual and the expected grip of the gripper. The folder appears complete or not
     at all. The torque comes from the current if the dataset has it, else from the duty, else from goal and position.
 
     Args:
@@ -252,7 +252,7 @@ def learned(
         moving = [torque[np.abs(one.dq[:, g]) > 0.2, g] for torque, one in pairs]
         at_most_nm, words = grip_of(float(held[g]), np.concatenate(moving), float(stall[g]))
         notes.append(f"{gripper}: {words}")
-    notes.append(f"{gripper}: a grip of at most {at_most_nm:.3g} {units[g]} is declared; guard.toml sets it ([grip])")
+    notes.append(f"{gripper}: a grip of at most {at_most_nm:.3g} {units[g]} is expected; guard.toml sets it ([grip])")
     return GuardSettings(usual, Grip(gripper, at_most_nm)), notes
 
 

@@ -111,8 +111,8 @@ def comparison_sentence(own: SignalLimits, others: Sequence[SignalLimits]) -> st
     Args:
         others: other recorded signals; empty: there are none.
     """
-    words = f"By {own.words}, limits from the other recordings raise {own.false} false alarms "
-    words += f"(promised {own.promised:.2g})."
+    words = f"By {own.words}, thresholds from the other recordings raise {own.false} false alarms "
+    words += f"(target {own.promised:.2g})."
     if not others:
         return (
             f"{words} No other signal of the servos is recorded: record their current or duty too, name it in "
@@ -120,8 +120,8 @@ def comparison_sentence(own: SignalLimits, others: Sequence[SignalLimits]) -> st
         )
     for one in others:
         words += (
-            f" By {one.words} they raise {one.false} (promised {one.promised:.2g}), and limits that keep the "
-            f"promise there detect pushes {size_of_pushes(one, own):.2g} times as large."
+            f" By {one.words} they raise {one.false} (target {one.promised:.2g}), and thresholds that keep the "
+            f"target there detect pushes {size_of_pushes(one, own):.2g} times as large."
         )
     better = [one for one in others if one.factor < own.factor and size_of_pushes(one, own) < 1]
     if not better:

@@ -125,7 +125,10 @@ def test_training_names_the_better_signal_and_the_remedy_holds(folder, capsys):
         if source == "goal":
             sentence = facts[source]["signals"]["sentence"]
             assert sentence in " ".join(said.split()) and 'torque_from = "supply-current" in [servo]' in sentence
-            assert "The budget is not kept in motion unlike any recording: expect" in facts[source]["sentence"]
+            assert (
+                "The target false alarm rate is exceeded in motion unlike any recording: expect"
+                in facts[source]["sentence"]
+            )
             assert main(["show", str(bundle)]) == 0 and sentence[:60] in " ".join(capsys.readouterr().out.split())
     compared = facts["goal"]["signals"]["compared"]
     assert [one["torque_from"] for one in compared] == ["goal", "supply_current"]
@@ -156,7 +159,7 @@ def limits(source: str, false: int, share: float, kept_by: float = 1.0) -> Signa
         ([], "No other signal of the servos is recorded: record their current or duty too"),
         (
             [limits("supply_current", 2, 0.5)],
-            "By the current of the supply they raise 2 (promised 3), and limits that keep the promise there detect "
+            "By the current of the supply they raise 2 (target 3), and thresholds that keep the target there detect "
             'pushes 0.62 times as large. For that, set torque_from = "supply-current" in [servo] of arm.toml, and '
             "import again.",
         ),
@@ -170,7 +173,7 @@ def test_the_sentence_names_what_each_signal_raises_and_detects(others, words):
     own = limits("goal", 12, 0.4, kept_by=2.0)
     said = comparison_sentence(own, others)
     assert said.startswith(
-        "By the goal and the position, limits from the other recordings raise 12 false alarms (promised 3)."
+        "By the goal and the position, thresholds from the other recordings raise 12 false alarms (target 3)."
     )
     assert words in said
     assert size_of_pushes(limits("duty", 2, 0.5, 1.6), own) == pytest.approx(0.5 * 1.6 / (0.4 * 2.0))

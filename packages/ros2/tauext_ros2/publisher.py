@@ -72,7 +72,7 @@ def arm_status(verdict: Verdict | None, joints: tuple[str, ...], hardware_id: st
     if health != HEALTHY:
         texts += HealthChange(0, 0, health, health, int(estimates["causes"][-1]), -1).words(joints)
     if drifted:
-        texts.append(f"drift at its bound on {', '.join(drifted)}: record and retrain")
+        texts.append(f"adaptive bias at its bound on {', '.join(drifted)}: record and retrain")
     unfamiliar = float(estimates["unfamiliar"][-1])
     if unfamiliar >= WORTH_TELLING:
         what, joint, other = (int(estimates[key][-1]) for key in ("unseen", "unseen_joint", "unseen_other"))

@@ -217,6 +217,6 @@ def test_the_quickstart_runs_as_printed(tmp_path, monkeypatch, capsys):
         "COLLISION shoulder",
         "resumed by ros2 /tauext/resume",
         "carries 2.8 kg",
-        "0 declared contacts ended",
+        "0 expected contacts ended",
     ):
         assert text in shown

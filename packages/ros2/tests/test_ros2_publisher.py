@@ -206,7 +206,7 @@ def test_alarms_are_latched_and_reported_once(talking, peer, space):
         (verdict(health=HEALTH_STALE, sample=False), STALE, "stale"),
         (verdict(health=FAULT, causes=GAP, sample=False), STALE, "fault: gap"),
         (verdict(alarm=COLLISION, health=FAULT, causes=GAP, sample=False), ERROR, "collision on elbow; fault: gap"),
-        (verdict(drift=True), WARN, "drift at its bound on elbow: record and retrain"),
+        (verdict(drift=True), WARN, "adaptive bias at its bound on elbow: record and retrain"),
         (verdict(unfamiliar=0.4), OK, "ok"),
         (verdict(unfamiliar=0.5), WARN, "training never saw such motion: shoulder and elbow together"),
     ],

@@ -100,7 +100,7 @@ def changed_since_training(facts: Mapping[str, Any]) -> dict[str, str]:
     if known := facts.get("known_weight"):
         off = known["factor"] - 1
         lines["torques corrected"] = (
-            f"times {known['factor']:.3f} ± {known['standard_error']:.3f} ({off:+.1%}), from a known weight of "
+            f"times {known['factor']:.3f} ± {known['standard_error']:.3f} ({off:+.1%}), from a known payload of "
             f"{known['mass_kg']:g} kg in {', '.join(known['recordings'])}"
         )
     return lines
@@ -113,7 +113,7 @@ def refitted_words(refitted: Mapping[str, Any]) -> dict[str, str]:
         (coulomb, coulomb_error), (viscous, viscous_error) = joint["coulomb"], joint["viscous"]
         words = f"friction times {coulomb:.3f} ± {coulomb_error:.3f}, viscous {viscous:.3f} ± {viscous_error:.3f}"
         if joint["limit_factor"] > 1:
-            words += f", limits times {joint['limit_factor']:.2f}"
+            words += f", thresholds times {joint['limit_factor']:.2f}"
         lines[f"since training, {joint['joint']}"] = words
-    lines["the old promise"] = refitted["promise"]
+    lines["target false alarm rate"] = refitted["promise"]
     return lines

@@ -116,5 +116,20 @@ def sentences(found: Mapping[str, Situation], units: Mapping[str, str]) -> dict[
 
 
 def certainty(situation: Situation, joint: str, unit: str) -> str:
-    """`limit 4.1 Nm, standard error 0.9 Nm`."""
-    return ", ".join(f"{what} {of_joints[joint]:.2g} {short(unit)}" for what, of_joints in situation.items())
+    """`threshold 4.1 Nm, standard error 0.9 Nm`."""
+    return ", ".join(f"{in_terms(what)} {of_joints[joint]:.2g} {short(unit)}" for what, of_joints in situation.items())
+
+
+TERMS = {
+    "budget": "target false alarm rate",
+    "drift": "adaptive bias",
+    "limit": "threshold",
+    "limits": "thresholds",
+}
+"""Terms of the field by their names in code, where keys are printed; docs/words.md has them all."""
+
+
+def in_terms(key: str) -> str:
+    """An identifier in words: `contact thresholds sliding` of contact_limits_sliding; a drive's torque limit is one."""
+    words = key.split("_")
+    return " ".join(words if "torque" in words else (TERMS.get(word, word) for word in words))

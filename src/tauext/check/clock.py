@@ -26,7 +26,7 @@ def lost_findings(x: Examination) -> Iterator[Finding]:
             continue
         evidence = f"'{recording.name}': {left_out:.1%} of the rows were left out, {late:.1%} sorted by their stamps"
         evidence += "".join(f"; {sentence}" for sentence in facts.get("dropped", []))
-        advice = "look at the places named; the motion around them is cut, and limits miss what happened there"
+        advice = "look at the places named; the motion around them is cut, and thresholds miss what happened there"
         yield Finding("rows-dropped", "warning", None, evidence, advice, recording.name)
 
 

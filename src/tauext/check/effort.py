@@ -435,7 +435,9 @@ def excitation_findings(x: Examination, least: ExcitationRules = ExcitationRules
     minutes, moving_min = sum(r.duration_s for r in x.recordings) / 60, x.moving_s / 60
     if ranges.max() < 0.05:
         evidence = f"the widest range of a joint is {ranges.max():.3g} rad in {minutes:.2g} minutes"
-        advice = "an arm at rest gives the plain observer and its limits at this pose, no friction fit and no network"
+        advice = (
+            "an arm at rest gives the plain observer and its thresholds at this pose, no friction fit and no network"
+        )
         yield Finding("never-moves", "warning", None, evidence, advice)
         return
     for j, joint in enumerate(x.joints if x.motion else ()):
@@ -458,7 +460,7 @@ def excitation_findings(x: Examination, least: ExcitationRules = ExcitationRules
         evidence = f"{moving_min:.2g} minutes of motion in {minutes:.2g} minutes"
         advice = (
             f"a friction fit needs {least.friction_min:g} minute of varied motion, a network {least.network_min:g}; "
-            "limits are proved for one false alarm in a third of the time they were found on, here "
+            "thresholds are proved for one false alarm in a third of the time they were found on, here "
             f"{minutes / 3:.2g} minutes, and extrapolated beyond"
         )
         if x.moving_s < SEARCH_S:

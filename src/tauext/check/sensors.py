@@ -376,8 +376,8 @@ def smoothed_findings(x: Examination) -> Iterator[Finding]:
         f"a measurement has 0.01 or more. Nothing above {_empty_above(x.recordings, clean):.0f} Hz"
     )
     advice = (
-        "smoothed after the fact, or computed: good enough for a friction fit, but limits found on it would be too low "
-        "and the filter's delay is unknown; record the raw signal"
+        "smoothed after the fact, or computed: good enough for a friction fit, but thresholds found on it would be too "
+        "low and the filter's delay is unknown; record the raw signal"
     )
     joint = x.joints[int(np.argmax(clean))] if clean.sum() == 1 else None
     yield Finding("resolution", "warning", joint, evidence, advice)

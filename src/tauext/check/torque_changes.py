@@ -39,7 +39,7 @@ def friction_findings(x: Examination) -> Iterator[Finding]:
         if warm:
             evidence += f", while the motor goes from {warm[0][0]:.1f} to {warm[-1][-1]:.1f} degrees Celsius"
         advice = (
-            "train on warm and on cold motion, or warm the arm up first; the monitor's drift tracker follows the rest"
+            "train on warm and on cold motion, or warm the arm up first; the monitor's adaptive bias follows the rest"
         )
         yield Finding("torque-changes", "warning", x.joints[j], evidence, advice)
 
@@ -175,7 +175,7 @@ def contact_findings(x: Examination) -> Iterator[Finding]:
     how much is of unknown contact."""
     if unknown := unknown_s(x.recordings):
         evidence = f"contact = -1, unknown, in {unknown:.1f} s of {total_s(x.recordings):.1f} s"
-        advice = "training, limits and these checks leave that time out; label it if it is free motion"
+        advice = "training, thresholds and these checks leave that time out; label it if it is free motion"
         if not some_known(x.recordings):
             advice = "no motion is known to be free, so training refuses it: label it, or import it without the contact"
         yield Finding("contact-unknown", "note", None, evidence, advice)
@@ -187,7 +187,7 @@ def contact_findings(x: Examination) -> Iterator[Finding]:
         first = r.time_s[int(touched.argmax())]
         evidence = f"'{r.name}': {touched.mean():.1%} of the samples are labelled contact, the first at {first:.2f} s"
         advice = (
-            "they are left out of training and limits; list the recording with the collisions, or exclude the "
+            "they are left out of training and thresholds; list the recording with the collisions, or exclude the "
             "interval, if the labels may begin late or end early"
         )
         yield Finding("contact-in-free-motion", "warning", None, evidence, advice, r.name)
@@ -250,7 +250,7 @@ def unlabelled_findings(
     listed = [_described(errors, rows, windows[k], times[k], recordings) for k in strongest]
     what = "disturbance" if len(begins) == 1 else "disturbances"
     evidence = f"{len(begins)} {what} of the torque that the motion does not explain: {'; '.join(listed)}"
-    advice = "inspect these times: keep contacts out of training and limits, by a label or by cutting the recording"
+    advice = "inspect these times: keep contacts out of training and thresholds, by a label or by cutting the recording"
     return [Finding("contact-in-free-motion", "warning", None, evidence, advice)]
 
 
@@ -294,8 +294,8 @@ def often_disturbed(rows: FitRows, joints: Sequence[str], unit: str, rules: Ofte
     if not parts:
         return []
     advice = (
-        "contacts, or a load that comes and goes: limits found on this motion are as wide as these torques; label or "
-        "cut these times, or record motion that nothing touches"
+        "contacts, or a load that comes and goes: thresholds found on this motion are as wide as these torques; label "
+        "or cut these times, or record motion that nothing touches"
     )
     evidence = f"the torque is often off, which the motion does not explain: {'; '.join(parts)}"
     return [Finding("contact-in-free-motion", "warning", None, evidence, advice)]
@@ -357,8 +357,8 @@ def contacts_at_rest(
         f"{change[j]:.3g} {torque_unit(recordings)} at '{r.joints[j]}' at {since_s:.1f} s of '{r.name}'"
     )
     advice = (
-        "at rest only contacts, and drives that are switched, change the torque: limits found on this motion are as "
-        "wide as these torques; label or cut the contacts, or record motion that nothing touches"
+        "at rest only contacts, and drives that are switched, change the torque: thresholds found on this motion are "
+        "as wide as these torques; label or cut the contacts, or record motion that nothing touches"
     )
     return [Finding("contact-in-free-motion", "warning", None, evidence, advice)]
 

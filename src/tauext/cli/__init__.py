@@ -27,7 +27,7 @@ SUMMARY = "External joint torque and collision detection for robot arms, from en
 NOTES = """\
 Order of work: import (or simulate), check, train, then run or monitor; evaluate and report show how good a bundle is.
 Existing output: bundles, results and reports are replaced, and named on stderr first; datasets and descriptions are
-refused; flights and recordings get another name.
+refused; event logs and recordings get another name.
 After an interruption, run the same command again: at most 30 s of simulating, training a network, calibrating or
 evaluating are lost. Files are always whole."""
 HELP_CONFIG = """\

@@ -60,9 +60,9 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
         ),
         "check": Command("find wrong units, signs, joint order and timing", "tauext.cli.recordings:check"),
     },
-    "Bundles": {
+    "Trained detectors (bundles)": {
         "train": Command("train a bundle on a dataset's free motion", "tauext.cli.train:train"),
-        "calibrate": Command("set other limits in a trained bundle", "tauext.cli.train:calibrate"),
+        "calibrate": Command("set other thresholds in a trained bundle", "tauext.cli.train:calibrate"),
         "refit": Command("update a bundle's friction with a minute of today's motion", "tauext.cli.train:refit"),
         "show": Command("print a bundle, a recording, a prior or a commissioned arm", "tauext.cli.show:show"),
     },
@@ -70,7 +70,7 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
         "run": Command("run the monitor on recordings", "tauext.cli.run:run"),
         "monitor": Command("run the monitor on a live arm", "tauext.cli.monitor:monitor"),
         "send": Command("send a control line to a running monitor", "tauext.cli.send:send"),
-        "load": Command("weigh a payload, or find torque constants from a known weight", "tauext.cli.load:load"),
+        "load": Command("identify a payload, or find torque constants from a known payload", "tauext.cli.load:load"),
     },
 }
 """The commands of this package, in the groups of the overview."""

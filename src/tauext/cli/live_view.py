@@ -80,10 +80,10 @@ class LiveView(TextLines):
     def joints(self, chunk: Chunk) -> Table:
         """A row a joint: bar from -limit to +limit, tau_ext, its standard error, limit, margin, speed, region."""
         table = Table(box=None, pad_edge=False)
-        for title in ("joint", "tau_ext from −limit to +limit"):
+        for title in ("joint", "tau_ext from −threshold to +threshold"):
             table.add_column(title)
         unit = of_all(self._units)
-        for title in (f"tau_ext, {unit}", f"limit, {unit}", f"margin, {unit}", "speed, rad/s"):
+        for title in (f"tau_ext, {unit}", f"threshold, {unit}", f"margin, {unit}", "speed, rad/s"):
             table.add_column(title, justify="right")
         table.add_column("")
         estimates = chunk.estimates

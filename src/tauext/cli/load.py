@@ -83,13 +83,13 @@ def known_sentences(
     if left_out:
         lines.append(
             f"skipped: {', '.join(left_out)}, whose torque constants remain unknown; a new bundle multiplies their "
-            "numbers by the common factor, so that their limits hold"
+            "numbers by the common factor, so that their thresholds hold"
         )
     elif not one_factor(known):
         given = " ".join(f"{constant:.5g}" for constant in constants)
         lines.append(
             "the factors differ by more than their standard errors: with --out, loads and forces take each joint's, "
-            "the arm's own masses and limits the common one. To correct these too, train with "
+            "the arm's own masses and thresholds the common one. To correct these too, train with "
             f"--torque-constants {given}"
         )
     return lines
@@ -129,11 +129,11 @@ def load(
     out: Path | None = None,
     as_json: JsonArg = False,
 ) -> None:
-    """Weigh the arm's payload: mass and centre of mass, from seconds of ordinary motion or several standing poses.
+    """Identify the arm's payload: mass and centre of mass, from seconds of ordinary motion or several poses at rest.
 
     The bundle must have been trained without this payload, and nothing may touch the arm. The command reports which
     parameters the motion does not determine. It also reports a torque that does not turn as gravity does: a contact.
-    With --known-kg, the known weight sets the torque constants instead.
+    With --known-kg, the known payload sets the torque constants instead.
 
     Args:
         bundle: bundle (*.tauext) of the arm.
@@ -143,8 +143,8 @@ def load(
         frame: joint whose link carries the payload. None: the bundle's load frame, on the last link.
         reach_m: largest distance of the centre of mass from that frame's origin, [m].
         known_kg: known mass of the payload, [kg]; torque constants are found instead. None: unknown.
-        known_com_m: centre of mass of the known weight in that frame, [m]. None: it is found.
-        out: bundle (*.tauext) to write with the torque constants from a known weight. None: no bundle.
+        known_com_m: centre of mass of the known payload in that frame, [m]. None: it is found.
+        out: bundle (*.tauext) to write with the torque constants from a known payload. None: no bundle.
         as_json: print one JSON object for scripts.
     """
     require(1e-3 <= reach_m <= 100, "reach_m", reach_m, "0.001 to 100")
@@ -154,7 +154,7 @@ def load(
     near = known_com_m is None or all(abs(c) <= 100 for c in known_com_m)
     require(near, "known_com_m", known_com_m, "three numbers within +-100")
     if known_kg is None and (out is not None or known_com_m is not None):
-        raise ConfigError("--out and --known-com-m need --known-kg: without a known weight there is nothing to set")
+        raise ConfigError("--out and --known-com-m need --known-kg: without a known payload there is nothing to set")
     from tauext.cli.run import fitting_bundle
     from tauext.data.recording_file import load_recording
     from tauext.monitor.weighing import between, expect_different, expect_weighable, load_frame, see

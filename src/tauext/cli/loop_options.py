@@ -23,14 +23,14 @@ class FlightOptions:
     """Which flights are written, and where."""
 
     flights: Path | None = None
-    """folder for flights: recording, estimates and a written explanation around every collision and fault. Existing
-    files are never overwritten. None: no flights."""
+    """folder for event logs: recording, estimates and a written explanation around every collision and fault. Existing
+    files are never overwritten. None: no event logs."""
     before_s: float = 5.0
-    """seconds before the event that a flight keeps."""
+    """seconds before the event that an event log keeps."""
     after_s: float = 1.0
-    """seconds after the event that a flight keeps."""
+    """seconds after the event that an event log keeps."""
     contacts: bool = False
-    """also write flights of contacts."""
+    """also write event logs of contacts."""
 
     @property
     def settings(self) -> FlightSettings | None:
@@ -70,7 +70,7 @@ class PrintOptions:
     """What is printed."""
 
     as_json: Annotated[bool, tyro.conf.arg(name="json")] = False
-    """print JSON lines, an object an event: start, health, alarm, flight, status, end, summary."""
+    """print JSON lines, an object an event: `start`, `health`, `alarm`, `flight`, `status`, `end`, `summary`."""
     status_hz: float = 0.0
     """how often --json also prints the estimates, per second of the samples; 0: events only."""
 

@@ -76,8 +76,8 @@ def monitor(
     Args:
         bundle: bundle (*.tauext) to run.
         options: options of some sources.
-        cell: TOML file of the cell: reactions to a collision, contact or fault; profiles, named factors on the limits;
-            phases, contacts that the task means; bus, the joints of servos.
+        cell: TOML file of the cell: reactions to a collision, contact or fault; profiles, named factors on the
+            thresholds; phases, contacts that the task means; bus, the joints of servos.
         control: socket that accepts lines such as `profile NAME`, `contact PHASE seconds=20`, `acknowledge`, `resume`
             and `stop`; `-`: stdin.
         own_rate: run the network at its own rate (usually 100 Hz) and hold its value in between, for slow processors.

@@ -185,7 +185,7 @@ def replay_all(bundle: Bundle, recordings: tuple[Path, ...], settings: RunSettin
         stopped = error
     output.total(total, flights, done, interrupted=stopped is not None)
     if isinstance(stopped, KeyboardInterrupt):
-        raise KeyboardInterrupt("the summary covers the motion replayed until then; its flights are kept")
+        raise KeyboardInterrupt("the summary covers the motion replayed until then; its event logs are kept")
     if stopped is not None:
         raise stopped
     flights.expect_all_written()

@@ -45,8 +45,8 @@ def show(
     Args:
         file: bundle (*.tauext), recording (*.parquet), prior (*.prior.json) or folder of `tauext commission` to show.
         as_json: print what is found as JSON for scripts.
-        force: print what force at each link's end goes over a bundle's limits, in newtons.
-        data: recordings (*.parquet) whose poses and limits --force takes; none: poses that the bundle keeps.
+        force: print the minimum detectable force at each link's end, in newtons.
+        data: recordings (*.parquet) whose poses and thresholds --force takes; none: poses that the bundle keeps.
         frame: frames at which --force gives the force, too.
         picture: PNG that --force draws.
     """
@@ -96,8 +96,10 @@ def lines(content: Content) -> list[str]:
 
 def label(key: str, units: Mapping[str, str]) -> str:
     """The identifier in words: `sample rate [Hz]`."""
+    from tauext.bundle.units import in_terms
+
     end, unit = next(((end, unit) for end, unit in units.items() if key.endswith(end)), ("", ""))
-    words = key.removesuffix(end).replace("_", " ")
+    words = in_terms(key.removesuffix(end))
     return f"{words} [{unit}]" if unit else words
 
 
@@ -337,12 +339,12 @@ def words_of_provenance(content: Content) -> dict[str, str]:
             rows |= {f"{what.removesuffix('s')} in {recordings}: {of_joint(one)}": one["evidence"] for one in entries}
     limits = facts.get("limits", {})
     if "extrapolated" in limits:
-        rows["largest error of free motion"] = f"{limits['extrapolated']['largest_seen']:.0%} of the limits"
+        rows["largest error of free motion"] = f"{limits['extrapolated']['largest_seen']:.0%} of the thresholds"
     else:
-        rows |= named(facts, ("limits are these times what was seen in training", "limits", "minutes_factor"))
+        rows |= named(facts, ("thresholds are these times what was seen in training", "limits", "minutes_factor"))
     rows |= named(
         facts,
-        ("share of the friction in the limits, since it changes", "limits", "friction_reserve"),
+        ("share of the friction in the thresholds, since it changes", "limits", "friction_reserve"),
         ("error scale was found on [h]", "error_scale", "hours"),
     )
     if found := content.get("situations"):
@@ -350,19 +352,19 @@ def words_of_provenance(content: Content) -> dict[str, str]:
     rows |= named(facts, ("gain was chosen", "gain", "reason"))
     rows |= {f"{one['severity']}: {of_joint(one)}": one["evidence"] for one in facts.get("limit_findings", [])}
     for moment in limits.get("one_moment", []):
-        rows[f"warning: one moment sets the limit of {moment['joint']}"] = (
+        rows[f"warning: one moment sets the threshold of {moment['joint']}"] = (
             f"at {moment['time_s']:.1f} s of {moment['recording']}: {moment['limit_nm']:.3g} {units[moment['joint']]} "
             f"{moment['region'].replace('_', ' ')}, without it {moment['without_nm']:.3g} {units[moment['joint']]}"
         )
     rows |= named(facts, ("false alarms", "limits", "sentence"))
     for one in limits.get("budgets", []):
         pushes = ", ".join(f"{push:.3g} N at the {place}" for place, push in one["push_n"].items())
-        share = f"limits {one['share_of_limits']:.0%} as high"
-        rows[f"limits for {one['text']}"] = f"notice {pushes} ({share})" if pushes else share
-    rows |= named(facts, ("during declared contacts", "standing", "sentence"))
+        share = f"thresholds {one['share_of_limits']:.0%} as high"
+        rows[f"thresholds for {one['text']}"] = f"detect {pushes} ({share})" if pushes else share
+    rows |= named(facts, ("during expected contacts", "standing", "sentence"))
     rows |= named(limits, ("in other motion", "other_motion", "sentence"), ("by other signals", "signals", "sentence"))
     if "set_for" in limits:
-        rows["limits were set for"] = f"{limits['set_for']}, hold time {limits['hold_s'] * 1e3:g} ms"
+        rows["thresholds were set for"] = f"{limits['set_for']}, hold time {limits['hold_s'] * 1e3:g} ms"
     return rows
 
 

@@ -104,7 +104,9 @@ class TextLines(PrintContext):
                 self._event(change.t_ns, words)
 
     def flight(self, news: FlightNews) -> None:
-        self._event(news.t_ns, f"flight: {news.path}" if news.path else f"flight of the {news.what} lost: {news.error}")
+        self._event(
+            news.t_ns, f"flight: {news.path}" if news.path else f"event log of the {news.what} lost: {news.error}"
+        )
 
     def note(self, text: str) -> None:
         self.print_line(f"{'':13}  {text}")
@@ -242,12 +244,12 @@ def summary_lines(tally: Tally, flights: FlightCount, folder: Path | None, timin
         f"chain         {tally.bridged_ticks} bridged ticks, {tally.restarts} restarts",
     ]
     if tally.unfamiliar:
-        lines.append(f"unfamiliar    {unfamiliar_text(tally)}")
+        lines.append(f"coverage      {unfamiliar_text(tally)}")
     if folder is not None:
         lost = f", {flights.failed} could not be written" if flights.failed else ""
         missed = f", {flights.missed} missed: too many in a short time" if flights.missed else ""
         like = f", {flights.repeated} faults like those of the minute before have none" if flights.repeated else ""
-        lines.append(f"flights       {flights.written} written to {folder}{like}{lost}{missed}")
+        lines.append(f"event logs    {flights.written} written to {folder}{like}{lost}{missed}")
     return lines
 
 
@@ -256,13 +258,12 @@ def unfamiliar_text(tally: Tally) -> str:
     most = tally.unfamiliar.most_common(3)
     words = [f"{unseen_words(unseen, tally.joints)} {count / tally.samples:.2%}" for unseen, count in most]
     more = len(tally.unfamiliar) - len(most)
-    text = f"{tally.unfamiliar_share:.2%} of the motion was not in the training data: {', '.join(words)}"
+    text = f"{tally.unfamiliar_share:.2%} of the motion was out-of-distribution: {', '.join(words)}"
     text += f" and {more} more" if more else ""
     if tally.unfamiliar_share < 0.01:  # of motion like that of training a few thousandths may be unfamiliar
         return text
-    return (
-        f"{text}. WARNING: estimates may be wrong there, and limits are up to 1.5 times as high; train with such motion"
-    )
+    advice = "estimates may be wrong there, and thresholds are up to 1.5 times as high; train with such motion"
+    return f"{text}. WARNING: {advice}"
 
 
 def collisions_text(count: int) -> str:

@@ -93,7 +93,7 @@ def train(
     accept: AcceptArg = (),
     options: Annotated[TrainOptions, tyro.conf.arg(name="")] = {},  # noqa: B006
 ) -> None:
-    """Train on a dataset's free motion, set the limits, and write one bundle.
+    """Train on a dataset's free motion, set the thresholds, and write one trained detector (bundle).
 
     The data are checked first, as by `tauext check`; a second training on the same data skips the checks. A fault
     refuses the training unless it is accepted. Warnings are printed and stored in the bundle. The last line on stderr
@@ -106,8 +106,9 @@ def train(
             from there. Earlier steps are repeated.
         config: FILE.toml with further settings; `tauext train --help-config` lists its keys. Options of the command
             line override it.
-        case: estimated model: the robot file as it is (exact), with halved mass or centre of mass (mass, com,
-            mass+com), or no model (none). Default: exact, or none where the dataset was imported without a model.
+        case: estimated model: the nominal model, which is the robot file as it is (exact), with halved mass or centre
+            of mass (mass, com, mass+com), or no model (none). Default: exact, or none where the dataset was imported
+            without a model.
         robot: URDF or MJCF of the arm; default: the dataset's own.
         meshes: folders of the meshes that the URDF names, as in `tauext import`, for shapes that the dataset lacks.
         like: NAME.prior.json with what arms of this type have in common; one minute of this arm's motion is then
@@ -154,7 +155,7 @@ def calibrate(
     cell: Path | None = None,
     accept: AcceptArg = (),
 ) -> None:
-    """Set the limits and hold times of a bundle for another budget of false alarms, or on other recordings.
+    """Set the thresholds and hold times of a bundle for another target false alarm rate, or on other recordings.
 
     Nothing is trained. The quick checks of `tauext check` run on every calibration recording first; a fault refuses it.
 
@@ -163,12 +164,12 @@ def calibrate(
         data: dataset folder; its calibration recordings are used.
         out: bundle to write, NAME.tauext; an existing one is replaced, and named on stderr.
         config: FILE.toml of `tauext train`; only its table [alarm] is used. Options of the command line override it.
-        options: budget of false alarms.
+        options: target false alarm rate.
         threads: threads that estimate; 0: one a core. The result does not depend on it.
         refit_error_scale: refit how errors grow with the motion, on the first fifth of the calibration recordings;
-            limits follow from the others.
+            thresholds follow from the others.
         cell: TOML file of the cell with phases, contacts that the task means (docs/contacts.md). The recordings are
-            then of the task, without collisions. Only the limits during these contacts change.
+            then of the task, without collisions. Only the thresholds during these contacts change.
         accept: codes of faults to accept, at all joints or at one; they are stored in the bundle.
     """
     from tauext.bundle.bundle_file import load_bundle
@@ -181,7 +182,7 @@ def calibrate(
     if cell is not None:
         others = {"config": config, "refit_error_scale": refit_error_scale, "accept": accept} | dict(options)
         for name, value in others.items():
-            require(not value, name, value, "left out with --cell, which changes the limits during contacts only")
+            require(not value, name, value, "left out with --cell, which changes the thresholds during contacts only")
         expect_another(out, bundle, "start from")
         loaded = load_bundle(bundle)
         its = load_cell(cell, [link.joint_name for link in loaded.links])
@@ -219,8 +220,8 @@ def refit(
     """Update the friction of a bundle with 30 to 60 s of the arm's ordinary motion.
 
     All friction terms of a joint change by a common factor, and separately where the motion supports it. Gravity and
-    inertia stay. Limits grow where today's error is larger, and never shrink. The command prints the changes, a row a
-    joint, and whether the promise of false alarms still holds. The quick checks of `tauext check` run first; a fault
+    inertia stay. Thresholds rise where today's error is larger, and never shrink. The command prints the changes, a row
+    a joint, and whether the target false alarm rate still holds. The quick checks of `tauext check` run first; a fault
     refuses the recordings. Labelled contacts are left out. So is motion that no friction explains; it is reported.
 
     Args:

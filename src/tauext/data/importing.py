@@ -286,7 +286,7 @@ def write_dataset(
             _cut(path, [c for c in claims if c.raw == name], arm, written)
     notes += [f"{set_name}: {', '.join(names)}" for set_name, names in written.items() if names]
     if written["train"] and not written["validation"]:
-        notes.append("validation is empty: train finds limits by cross-validation on the training motion")
+        notes.append("validation is empty: train finds thresholds by cross-validation on the training motion")
     for set_name in ("train", "test"):
         if not written[set_name]:
             claimed = any(c.set_name == set_name for c in claims)

@@ -293,7 +293,7 @@ class FalseAlarmBudget:
     def __post_init__(self) -> None:
         for name in ("alarms", "hours"):
             value = getattr(self, name)
-            require(0 < value < math.inf, f"false alarm budget: {name}", value, "> 0")
+            require(0 < value < math.inf, f"target false alarm rate: {name}", value, "> 0")
 
     @property
     def rate_per_hour(self) -> float:
@@ -394,7 +394,7 @@ class Promise:
         have = f"{duration(self.hours, 'down')} of calibration"
         if not self.is_supported:
             return (
-                f"{asked} cannot be promised: {have} support 1 in {duration(self.supported.hours, 'down')} at best (at "
+                f"{asked} cannot be proved: {have} support 1 in {duration(self.supported.hours, 'down')} at best (at "
                 f"{100 * self.confidence:g} % confidence); record {duration(self.missing_hours, 'up')} more of free "
                 f"motion, {duration(self.needed_hours, 'up')} in all."
             )

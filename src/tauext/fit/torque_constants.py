@@ -380,7 +380,7 @@ class TorqueConstants:
             return ", ".join(text for text, here in zip(texts, which, strict=True) if here)
 
         together = (
-            f"; all together ± {self.common_share:.0%}, beside each one's own error: a known weight shows that "
+            f"; all together ± {self.common_share:.0%}, beside each one's own error: a known payload shows that "
             "factor (tauext load --known-kg)"
             if self.common_share
             else ""
@@ -397,18 +397,18 @@ class TorqueConstants:
         unit, sentences, unknown = "Nm", [], ~(self.determined | self.guessed)
         if self.relative_to is not None:
             unit = f"units of {joints[self.relative_to]}"
-            sentences.append(f"without a model the Nm is undefined: torques, estimates and limits are in {unit}")
+            sentences.append(f"without a model the Nm is undefined: torques, estimates and thresholds are in {unit}")
         if self.determined.any():
             sentences.append(f"torque constants, {unit} a unit of tau: {listed(self.determined, words)}{together}")
         if self.guessed.any():
             sentences.append(
                 f"torque constants of {listed(self.guessed, words)} are guesses, gravity and inertia there are too "
-                f"small beside friction: their torques, estimates and limits are no {unit} to rely on"
+                f"small beside friction: their torques, estimates and thresholds are no {unit} to rely on"
             )
         if unknown.any():
             sentences.append(
                 f"torque constants of {listed(unknown, joints)} are undetermined, gravity and inertia there are too "
-                "small beside friction: their torques, estimates and limits stay in the recordings' own unit"
+                "small beside friction: their torques, estimates and thresholds stay in the recordings' own unit"
             )
         return sentences
 

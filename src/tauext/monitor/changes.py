@@ -206,7 +206,7 @@ class AlarmChange(Change):
         error = f" (standard error {self.sigma_nm:.2f} {unit})" if math.isfinite(self.sigma_nm) else ""
         return [
             f"{level.upper()} {joints[self.joint]}: |tau_ext{explained}| {abs(self.torque_nm):.2f} {unit}{error}, "
-            f"{level} limit{region} {self.limit_nm:.2f} {unit}"
+            f"{level} threshold{region} {self.limit_nm:.2f} {unit}"
         ]
 
     def facts(self, joints: tuple[str, ...]) -> dict[str, Any]:
@@ -310,7 +310,7 @@ class DriftChange(Change):
     event = "drift"
 
     def words(self, joints: tuple[str, ...], units: Sequence[str] = ()) -> list[str]:
-        return [f"recalibrate: joint {joints[self.joint]}'s drift is at its bound"]
+        return [f"recalibrate: joint {joints[self.joint]}'s adaptive bias is at its bound"]
 
     def facts(self, joints: tuple[str, ...]) -> dict[str, Any]:
         return {"joint": _name(self.joint, joints), "advice": "recalibrate"}
@@ -345,7 +345,7 @@ class DeclaredChange(Change):
     def _state_words(self) -> str:
         bounds = self.bounds
         if bounds is None or self.state == 0:
-            return "no declared contact any more"
+            return "no expected contact any more"
         if self.state < BEYOND:
             return f"contact {bounds_words(bounds)}"
         if DECLARED[self.state] == "moved":
@@ -395,7 +395,7 @@ class LoadChange(Change):
         words = f"carries {load_words(self.load)}{since}" + (f", by {self.by}" if self.by else "")
         if not self.left_out or self.load.mass == 0:
             return [words]
-        return [f"{words}; limits of {', '.join(self.left_out)}, not in Nm, are higher by its largest torque there"]
+        return [f"{words}; thresholds of {', '.join(self.left_out)}, not in Nm, are higher by its largest torque there"]
 
     def facts(self, joints: tuple[str, ...]) -> dict[str, Any]:
         facts = {"by": self.by, "since_ns": self.since_ns, "left_out": list(self.left_out)}
@@ -443,7 +443,7 @@ class WeighChange(Change):
 
         if self.found is None:
             beside = f" besides {load_words(self.beside)}" if self.beside.mass > 0 else ""
-            return [f"weighing the payload{beside}, by {self.by}"]
+            return [f"identifying the payload{beside}, by {self.by}"]
         sentences = load_sentences(self.found, self.frame, "N m")
         if self.beside.mass > 0 and self.found.verdict == "load":
             sentences.append(f"with the {self.beside.mass:.4g} kg that are set: {load_words(self.found.load)}")

@@ -76,7 +76,7 @@ class Episode:
         level = ALARMS[self.alarm].upper() if self.alarm == COLLISION else ALARMS[self.alarm].capitalize()
         torque = abs(self.torque_nm)
         sizes = [f"{torque:.3g} {unit} at {joints[self.joint]}"] if math.isfinite(torque) else []
-        sizes += [f"limit {self.limit_nm:.3g} {unit}"] if math.isfinite(self.limit_nm) else []
+        sizes += [f"threshold {self.limit_nm:.3g} {unit}"] if math.isfinite(self.limit_nm) else []
         return f"{level}{kind}{place}: {', '.join(sizes) or joints[self.joint]}"
 
     def facts(self, joints: tuple[str, ...], units: Sequence[str]) -> dict[str, Any]:

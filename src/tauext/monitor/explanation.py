@@ -111,7 +111,7 @@ def over_limit(flight: Flight, source: FlightSource, kind: str) -> str:
     unit = source.unit(j)
     text = (
         f"|{compared(event, j)}| of {source.joints[j]} was {size:.3f} {unit}, {size - limit:.3f} {unit} over its "
-        f"{kind} limit of {limit:.3f} {unit} ({region}: its speed was {speed:+.4f} rad/s, {edge} {slow_rad_s:g})."
+        f"{kind} threshold of {limit:.3f} {unit} ({region}: its speed was {speed:+.4f} rad/s, {edge} {slow_rad_s:g})."
     )
     text += certainty(flight, source)
     since = row
@@ -119,7 +119,7 @@ def over_limit(flight: Flight, source: FlightSource, kind: str) -> str:
         since -= 1
     if since < row:
         ms = (flight["t_ns"][row] - flight["t_ns"][since]) * 1e-6
-        text += f" It had been over that limit for {ms:.1f} ms."
+        text += f" It had been over that threshold for {ms:.1f} ms."
     return text
 
 
@@ -137,7 +137,7 @@ def certainty(flight: Flight, source: FlightSource) -> str:
     if not source.has_error_scale or not sigma > 0:
         return ""
     motion = (
-        f"; the motion multiplied the limit of usual motion by {event.limit_scale[j]:.2f}"
+        f"; the motion multiplied the threshold of usual motion by {event.limit_scale[j]:.2f}"
         if source.bundle.error_scale.follows
         else ""
     )
@@ -207,7 +207,11 @@ def sum_of_terms(flight: Flight, source: FlightSource) -> str:
     if "prior" not in source.lacking:
         terms = f"the prior expected {event.prior[j]:+.3f} {unit} of it in free motion"
         terms += f" and the network {event.network[j]:+.3f} {unit} more" if source.bundle.has_network else ""
-        terms += f", slow changes since training {event.drift[j]:+.3f} {unit}" if "drift" not in source.lacking else ""
+        terms += (
+            f", slow changes since training (adaptive bias) {event.drift[j]:+.3f} {unit}"
+            if "drift" not in source.lacking
+            else ""
+        )
         left = f"the remainder is tau_ext = {event.tau_ext[j]:+.3f} {unit}"
         return f"The observer's residual was {residual:+.3f} {unit}, {terms}; {left}."
     if not source.bundle.has_network:
@@ -227,7 +231,7 @@ def others(flight: Flight, source: FlightSource, kind: str) -> str:
         return ""
     share = np.abs(unexplained(flight)[row]) / limits_of(flight, kind)[row]
     nearest = sorted(rest, key=lambda j: -share[j])[:3]
-    return f"Other joints, nearest to their {kind} limits first: {loads(flight, row, source, nearest, kind)}."
+    return f"Other joints, nearest to their {kind} thresholds first: {loads(flight, row, source, nearest, kind)}."
 
 
 def limits_of(flight: Flight, kind: str) -> np.ndarray:
@@ -274,7 +278,7 @@ def last_estimate(flight: Flight, source: FlightSource) -> str:
     """The newest tau_ext up to the fault."""
     known = np.flatnonzero(np.isfinite(flight["tau_ext"][: flight["event_row"] + 1]).all(axis=1))
     if len(known) == 0:
-        return "There is no estimate of tau_ext up to the fault in this flight."
+        return "There is no estimate of tau_ext up to the fault in this event log."
     row = int(known[-1])
     ms = (flight["t_ns"][flight["event_row"]] - flight["t_ns"][row]) * 1e-6
     when = "At the fault" if row == flight["event_row"] else f"Last estimate, {ms:.1f} ms before"
@@ -450,7 +454,7 @@ def after(flight: Flight, source: FlightSource, kind: str) -> str:
         text += f"|{compared(flight['event'], j)}| of {source.joints[j]} peaked at {size[peak]:.3f} {source.unit(j)}, "
         text += f"{peak_s:.3f} s after it; " if peak else "at the event; "
         over = size > limits_of(flight, kind)[row:, j]
-        text += f"it was {'' if over[-1] else 'not '}over its {kind} limit at the end; "
+        text += f"it was {'' if over[-1] else 'not '}over its {kind} threshold at the end; "
     return text + f"health at the end was {HEALTHS[int(health[-1])]}."
 
 

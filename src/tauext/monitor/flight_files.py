@@ -80,7 +80,7 @@ class FlightCount:
     def expect_all_written(self) -> None:
         """Raise ConfigError if a flight could not be written."""
         if self.failed:
-            raise ConfigError(f"{self.failed} of {self.failed + self.written} flights are lost: {self.error}")
+            raise ConfigError(f"{self.failed} of {self.failed + self.written} event logs are lost: {self.error}")
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class FlightSettings:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise ConfigError(f"{self.folder}: no folder for flights ({error.strerror or error})") from error
+            raise ConfigError(f"{self.folder}: no folder for event logs ({error.strerror or error})") from error
         period_ns = bundle.observer.sample_period_ns
         return _core.FlightRecorder(bundle.joints, period_ns, self.before_s, self.after_s, self.contacts)
 
@@ -163,7 +163,9 @@ def write_flight(flight: Flight, folder: Path, source: FlightSource) -> Path:
                     with_ending(base, ending).unlink(missing_ok=True)
             raise
     except OSError as error:
-        raise RecordingError(f"{folder / wanted}: the flight cannot be written ({error.strerror or error})") from error
+        raise RecordingError(
+            f"{folder / wanted}: the event log cannot be written ({error.strerror or error})"
+        ) from error
     return with_ending(base, ".parquet" if kept.any() else ".txt")
 
 

@@ -41,7 +41,7 @@ def weigh_constants(
     if not first.mass_kg * most_ratio > mass_kg:
         raise ConfigError(
             f"--known-kg {mass_kg:g} cannot set torque constants: the estimated mass is {first.mass_kg:.2g} kg, "
-            f"a factor of more than {most_ratio:g} less; are these the recordings with the weight?"
+            f"a factor of more than {most_ratio:g} less; are these the recordings with the payload?"
         )
     try:
         known = _core.weigh_known(
@@ -53,7 +53,7 @@ def weigh_constants(
     if bundle.units.relative_to < 0 and not 1 / most_factor < known.common < most_factor:
         raise ConfigError(
             f"{mass_kg:g} kg would make every torque {known.common:.3g} times as large; torque constants are not off "
-            "by so much: is the weight in kg, and the tau in the bundle's unit?"
+            "by so much: is its mass in kg, and the tau in the bundle's unit?"
         )
     return known
 

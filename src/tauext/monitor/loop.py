@@ -590,14 +590,14 @@ class Loop:
         phases, name = self._changes.phases, announced.name
         if announced.ends or contact is None:
             ended = phases.end(self._real, name)
-            self.note(f"{ended} declared contact{'s' * (ended != 1)} ended, by {by}")
+            self.note(f"{ended} expected contact{'s' * (ended != 1)} ended, by {by}")
             return
         phases.declare(self._real, name, contact, announced.seconds)
         if math.isfinite(announced.seconds):
-            self._timed.add("the declared contact")
+            self._timed.add("the expected contact")
         for_s = f" for {announced.seconds:g} s" if math.isfinite(announced.seconds) else ""
         hidden = self._real.unmonitored(contact)
-        self.note(f"a contact {bounds_words(contact)}{for_s} is declared, by {by}{f'; {hidden}' * bool(hidden)}")
+        self.note(f"a contact {bounds_words(contact)}{for_s} is expected, by {by}{f'; {hidden}' * bool(hidden)}")
 
     def _carry(self, load: _core.Load, ago_s: float | None, by: str) -> None:
         since_ns = None if ago_s is None else self._last_ns - round(ago_s * 1e9)

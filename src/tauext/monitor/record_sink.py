@@ -323,7 +323,7 @@ class FlightSink:
         path, failed = None, None
         try:
             if self._source is None:
-                raise ConfigError("no bundle monitored yet, so this flight has no estimates")
+                raise ConfigError("no bundle monitored yet, so this event log has no estimates")
             path = write_flight(flight, self._folder, self._source)
         except TauextError as error:
             failed = str(error)

@@ -65,8 +65,8 @@ def expect_weighable(bundle: _core.Bundle) -> None:
     """Raise ConfigError if tau_ext does not contain the weight of a load."""
     if bundle.observer.method.name != "momentum":
         raise ConfigError(
-            f"bundle '{bundle.name}' follows the {bundle.observer.method.name} residual; a load is weighed by the "
-            "momentum observer's (recipes tauext, prior, friction, observer)"
+            f"bundle '{bundle.name}' follows the {bundle.observer.method.name} residual; a payload is identified by "
+            "the momentum observer's (recipes tauext, prior, friction, observer)"
         )
     if not any(link.mass > 0 for link in [*bundle.links, *bundle.prior.corrected_links]):
         raise ConfigError(
@@ -74,8 +74,8 @@ def expect_weighable(bundle: _core.Bundle) -> None:
         )
     if not weighing_joints(bundle).any():
         raise ConfigError(
-            f"bundle '{bundle.name}' has no torque constant of any joint; a load is weighed by joints whose torque is "
-            "in N m: give the constants (--torque-constants of train)"
+            f"bundle '{bundle.name}' has no torque constant of any joint; a payload is identified by joints whose "
+            "torque is in N m: give the constants (--torque-constants of train)"
         )
 
 
@@ -191,8 +191,8 @@ def identify(
     """
     if sum(part.rows for part in parts) < LoadFound.LEAST_ROWS:
         raise RecordingError(
-            f"{parts[0].recording.name if parts else 'nothing'}: too few healthy samples to weigh a load; it takes "
-            f"{LoadFound.LEAST_ROWS * ROW_S:g} s behind the observer's warm-up"
+            f"{parts[0].recording.name if parts else 'nothing'}: too few healthy samples to identify a payload; it "
+            f"takes {LoadFound.LEAST_ROWS * ROW_S:g} s behind the observer's warm-up"
         )
     return _core.weigh_load(bundle, frame.frame, [part.arrays for part in parts], reach_m, list(phi), beside)
 
@@ -214,7 +214,8 @@ def between(motion: WeighedMotion, from_s: float | None, to_s: float | None) -> 
     part = motion.part((motion.time_s >= low) & (motion.time_s <= high))
     if part.rows < LoadFound.LEAST_ROWS:
         raise RecordingError(
-            f"{motion.recording.name}: {part.rows} healthy rows from {max(low, 0):g} s on are too few to weigh a load"
+            f"{motion.recording.name}: {part.rows} healthy rows from {max(low, 0):g} s on are too few to "
+            "identify a payload"
         )
     return part
 
@@ -261,7 +262,7 @@ def load_sentences(found: LoadFound, where: str, unit: str) -> list[str]:
             "load fixed to a link farther out (--frame)?"
         ]
     if found.verdict == "too little":
-        return [f"{found.seconds:.2f} s of healthy motion are too little to weigh a load"]
+        return [f"{found.seconds:.2f} s of healthy motion are too little to identify a payload"]
     if found.verdict == "nothing":
         hidden_kg = LoadFound.MASS_SHOWS * found.mass_error_kg
         return [f"no load is visible: {mass}; one of less than {hidden_kg:.2g} {kg} would not"]
@@ -296,9 +297,9 @@ def weighed_words(found: LoadFound, kg: str) -> str:
         return mass_words(found.mass_kg, mass_error(found), kg)
     # No known weight is advised where the constants are as sure as such a weight finds them: to 3 %.
     share = found.constants_error_kg / max(abs(found.mass_kg), 1e-9)
-    advice = " (weigh a known load: tauext load --known-kg)" if share > 0.03 else ""
+    advice = " (identify a known payload: tauext load --known-kg)" if share > 0.03 else ""
     return (
-        f"{found.mass_kg:.2f} {kg} ± {100 * share:.2g} % common to all weights of this bundle{advice}, "
+        f"{found.mass_kg:.2f} {kg} ± {100 * share:.2g} % common to all masses found with this bundle{advice}, "
         f"± {found.mass_error_kg:.2f} {kg} from motion"
     )
 
@@ -335,8 +336,8 @@ def constants_sentence(found: LoadFound, errors: dict[str, float]) -> str | None
     shares = ", ".join(f"{name} {100 * errors[name] / mass:.2g} %" for name in largest if errors[name] > 0)
     first = "every joint turns" if largest[0] == COMMON else f"{largest[0]} turns through its range"
     return (
-        f"of the {100 * found.constants_error_kg / mass:.2g} % from torque constants: {shares}. A known weight lowers "
-        f"it, in half a minute of motion in which {first}, with the weight far from its axis"
+        f"of the {100 * found.constants_error_kg / mass:.2g} % from torque constants: {shares}. A known payload "
+        f"lowers it, in half a minute of motion in which {first}, with its mass far from its axis"
     )
 
 

@@ -98,7 +98,7 @@ class WorstErrors:
         """
         peaks = peaks[peaks > 0]
         if not len(peaks):
-            raise TrainingError("limits need errors of free motion, and tau_ext is zero throughout")
+            raise TrainingError("thresholds need errors of free motion, and tau_ext is zero throughout")
         fewest, most = config.exceedances
         count = min(max(fewest, math.ceil(config.share * len(peaks))), most, len(peaks))
         threshold = float(peaks[count]) if count < len(peaks) else float(peaks[-1])
@@ -286,7 +286,7 @@ def asked_sentence(asked: FalseAlarmBudget, found: dict, promised: PromisedLimit
     """What the limits are set for, and what the data alone prove."""
     low, high = found["between_per_hour"]
     words = (
-        f"Limits are set for {asked}, extrapolated from {duration(found['hours'], 'down')} "
+        f"Thresholds are set for {asked}, extrapolated from {duration(found['hours'], 'down')} "
         f"({found['probability']:.0%}: 1 in {duration(1 / high)} {rarest(low)})."
     )
     if promised is None:
@@ -296,9 +296,9 @@ def asked_sentence(asked: FalseAlarmBudget, found: dict, promised: PromisedLimit
     if not promise.is_supported:
         words += f"; {duration(promise.missing_hours, 'up')} more of free motion would prove {asked}"
     if promised.suspects:
-        left_out, they = ("es are", "they were") if promised.suspects > 1 else (" is", "it was")
+        left_out, they = ("s are", "they were") if promised.suspects > 1 else (" is", "it was")
         words += (
-            f". {promised.suspects} suspected touch{left_out} left out; if {they} none, the data prove 1 in "
+            f". {promised.suspects} unlabelled contact{left_out} left out; if {they} none, the data prove 1 in "
             f"{duration(1 / promised.bound_per_hour, 'down')}"
         )
     return f"{words}."
@@ -318,5 +318,5 @@ def budgets_sentence(found: Sequence[dict]) -> str:
     entries = []
     for one in found:
         pushes = ", ".join(f"{push:.3g} N at the {place}" for place, push in one["push_n"].items())
-        entries.append(f"{one['text']}: {pushes or format(one['share_of_limits'], '.0%') + ' of these limits'}")
-    return f"noticed pushes by budget: {'; '.join(entries)}"
+        entries.append(f"{one['text']}: {pushes or format(one['share_of_limits'], '.0%') + ' of these thresholds'}")
+    return f"detected pushes by target false alarm rate: {'; '.join(entries)}"

@@ -197,7 +197,9 @@ def refit_scale(
         TrainingError: no free motion, or too much that is impossible.
     """
     if len(loaders) < 2:
-        raise ConfigError("refit-error-scale needs 2 calibration recordings or more: one to fit to, one for the limits")
+        raise ConfigError(
+            "refit-error-scale needs 2 calibration recordings or more: one to fit to, one for the thresholds"
+        )
     apart = max(1, round(share * len(loaders)))
     left_out = LeftOut("calibration")
     bundle.error_scale = _core.ErrorScaleSettings()

@@ -64,11 +64,11 @@ class SpreadFound:
     def sentence(self) -> str:
         """What is promised during declared contacts."""
         if not self.hours:
-            return "no declared force acted in these recordings: limits during declared contacts stay as they are"
-        how = "of tool forces added to free motion" if self.injected else "of declared contacts"
+            return "no expected contact acted in these recordings: thresholds during expected contacts stay as they are"
+        how = "of tool forces added to free motion" if self.injected else "of expected contacts"
         rate = float(format(upper_rate(0, self.hours), ".2g"))
         return (
-            f"during a declared contact what is explained may be wrong by {self.spread:g} of its standard errors: no "
+            f"during an expected contact what is explained may be wrong by {self.spread:g} of its standard errors: no "
             f"false collision in {duration(self.hours)} {how}, at most {rate:g} an hour (95%)"
         )
 
@@ -118,7 +118,7 @@ def put_spread(
             continue  # a false alarm of free motion: a glitch, say
         if math.isinf(of_this):
             raise ConfigError(
-                f"{recording.name}: the declared contact leaves torques over the limits, even with "
+                f"{recording.name}: the expected contact leaves torques over the thresholds, even with "
                 f"{config.tried[-1]:g} standard errors of what it explains: something hits the arm, or the contact is "
                 "not as declared"
             )
@@ -227,6 +227,6 @@ def noticed_standing(bundle: _core.Bundle, poses: Sequence[Sequence[float]] | No
     words = ", ".join(f"from {one['slow_n']:.0f} N at the {one['at']} ({one['sudden_n']:.0f} N)" for one in facts)
     return {
         "places": facts,
-        "sentence": "standing in a declared contact, where a resting joint may hide its friction, pushes are noticed "
+        "sentence": "at rest in an expected contact, where a resting joint may hide its friction, pushes are detected "
         f"{words}; in brackets sudden ones",
     }

@@ -127,7 +127,7 @@ def no_free_motion(bundle: _core.Bundle, margins: FreeMotionConfig) -> TrainingE
     warm_s = warm_up_s(bundle.observer.gain_per_s, bundle.observer.low_pass_per_s)
     window = " and the network's window" if bundle.has_network else ""
     return TrainingError(
-        f"limits need free motion: no recording has any beyond the warm-up of {warm_s:g} s{window}, with "
+        f"thresholds need free motion: no recording has any beyond the warm-up of {warm_s:g} s{window}, with "
         f"{margins.before_s:g} s before and {margins.after_s:g} s after every contact, and samples of unknown contact "
         "(-1), left out"
     )

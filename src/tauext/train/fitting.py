@@ -251,7 +251,7 @@ def choose_gain(
         "chosen_per_s": chosen,
         "hit_nm": dict(zip(run.joints, hit_nm.tolist(), strict=True)),
         "mean_delay_s": {f"{gain:g}": delay for gain, delay in delay_s.items()},
-        "reason": f"a hit of {config.hit:g} times the limit at {PAPER_GAIN_PER_S:g} 1/s is found after {delays}",
+        "reason": f"a hit of {config.hit:g} times the threshold at {PAPER_GAIN_PER_S:g} 1/s is found after {delays}",
     }
     return tried[chosen]
 

@@ -288,9 +288,10 @@ class Moment:
     def sentence(self, unit: str = "Nm") -> str:
         """Message that asks the user to inspect the moment."""
         return (
-            f"warning: one-moment-limit ({self.joint}): one moment of '{self.recording}', at {self.time_s:.1f} s, sets "
-            f"its limit {self.region.replace('_', ' ')}: {self.limit_nm:.3g} {unit}; without it {self.without_nm:.3g} "
-            f"{unit}. If something touched the arm there, label it; if a signal failed, cut it out"
+            f"warning: one-moment-limit ({self.joint}): one moment of '{self.recording}', at {self.time_s:.1f} s, "
+            f"sets its threshold {self.region.replace('_', ' ')}: {self.limit_nm:.3g} {unit}; without it "
+            f"{self.without_nm:.3g} {unit}. If something touched the arm there, label it; if a signal failed, cut it "
+            "out"
         )
 
     def facts(self) -> dict:

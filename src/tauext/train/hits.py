@@ -33,7 +33,7 @@ def points(bundle: _core.Bundle, frames: Sequence[str] = ()) -> list[Point]:
     """
     model = _core.WrenchModel(bundle)
     if model.refused:
-        raise BundleError(f"{bundle.name}: what force is noticed is not known: {model.refused}")
+        raise BundleError(f"{bundle.name}: the minimum detectable force is not known: {model.refused}")
     known = [frame.name for frame in model.frames]
     for name in frames:
         if name not in known:

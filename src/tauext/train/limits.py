@@ -246,7 +246,7 @@ def refuse_limits(facts: Mapping, where: str, accept: Sequence[str]) -> None:
     """
     found = [Finding(**one) for one in facts.get("limit_findings", [])]
     how = "No bundle is written. To write it all the same, accept the faults; the bundle records it:"
-    expect_accepted(found, accept, where, "its limits", how)
+    expect_accepted(found, accept, where, "its thresholds", how)
 
 
 def worse_promise(before: Mapping, after: Mapping, name: str) -> tuple[str, list[Finding]]:
@@ -264,12 +264,12 @@ def worse_promise(before: Mapping, after: Mapping, name: str) -> tuple[str, list
     promise, old_hours = after["promise"], before["promise"]["calibration_hours"]
     then = f"1 in {duration(1 / old)} from {duration(old_hours, 'down')} of calibration"
     now = f"1 in {duration(1 / new, 'down')} from {duration(promise['calibration_hours'], 'down')}"
-    words = f"promise of false alarms: {now}, in place of {then} in {name}"
+    words = f"false alarm rate that the data prove: {now}, in place of {then} in {name}"
     if promise["supported"] or new <= old * (1 + 1e-9):
         return words, []
     advice = (
-        f"keep the bundle, record {duration(promise['missing_hours'], 'up')} more of free motion, or ask for a budget "
-        "that these recordings support (--false-alarms, --in-hours)"
+        f"keep the bundle, record {duration(promise['missing_hours'], 'up')} more of free motion, or ask for a "
+        "false alarm rate that these recordings support (--false-alarms, --in-hours)"
     )
     return words, [Finding("promise-worse", "fault", None, f"{now}, in place of {then} in {name}", advice)]
 

@@ -54,7 +54,7 @@ def ignore_standing(bundle: _core.Bundle, recordings: Sequence[Recording]) -> st
     """
     stand = standing_joints(recordings)
     if stand.all():
-        return "limits at rest only: no joint moves in the recordings; in motion expect false alarms"
+        return "thresholds at rest only: no joint moves in the recordings; in motion expect false alarms"
     if not stand.any():
         return ""
     change_limits(bundle, lambda limit_nm: np.where(stand, np.inf, limit_nm))
@@ -139,8 +139,8 @@ def paper_limits(
     if (both == 0).any():
         name = bundle.links[int(np.argmin(both))].joint_name
         raise TrainingError(
-            f"joint '{name}': |tau_ext| is zero throughout the validation recordings, so its limit cannot be found; "
-            "is its torque recorded?"
+            f"joint '{name}': |tau_ext| is zero throughout the validation recordings, so its threshold cannot be "
+            "found; is its torque recorded?"
         )
     stand = standing_joints(whole_recordings(recordings))
     return np.array([np.where(stand | (sliding == 0), both, sliding), both])

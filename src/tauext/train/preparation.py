@@ -172,7 +172,7 @@ def training_motion(
         raise TrainingError(
             f"no joint moves in any of {len(training)} training recordings: friction and model cannot be learned, so "
             f"recipe {config.recipe} cannot be trained. Use --recipe observer (or highpass), with "
-            "limits that hold at rest only; or record motion of every joint"
+            "thresholds that hold at rest only; or record motion of every joint"
         )
     notes = left_out
     uncut = free_pieces(training, config.margins)
@@ -187,8 +187,8 @@ def training_motion(
     if not validation and not network:
         validated_on = uncut
         notes.append(
-            "the dataset has no validation recordings: for the limits each fifth of the motion is evaluated with a fit "
-            "to the other four"
+            "the dataset has no validation recordings: for the thresholds each fifth of the motion is evaluated with a "
+            "fit to the other four"
         )
     elif not validation:
         beginnings, validation = split_validation(training, config)
@@ -215,7 +215,7 @@ def expect_some(training: Sequence[Recording]) -> None:
 def as_they_are(training: Sequence[Recording], validation: Sequence[Recording], notes: list[str]) -> TrainingMotion:
     """Recordings of a training that learns nothing from them, used for limits only."""
     if not validation:
-        notes.append("the dataset has no validation recordings: limits are found on the training recordings")
+        notes.append("the dataset has no validation recordings: thresholds are found on the training recordings")
     for_limits = list(validation or training)
     return TrainingMotion(list(training), for_limits, for_limits, list(training), notes)
 

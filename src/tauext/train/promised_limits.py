@@ -86,11 +86,13 @@ class PromisedLimits:
         """Sentences on the promise, the budget of the limits, and tails that do not fit."""
         words = self.promise.sentence()
         if not self.promise.is_supported:
-            words += f" The limits are set for {self.budget}."
+            words += f" The thresholds are set for {self.budget}."
         if self.suspects:
             words += f" {self.suspected()}"
         if self.misfits:
-            words += f" The tail of {', '.join(self.misfits)} fits no known shape; its limit is a conservative guess."
+            words += (
+                f" The tail of {', '.join(self.misfits)} fits no known shape; its threshold is a conservative guess."
+            )
         return words
 
     @property
@@ -104,7 +106,7 @@ class PromisedLimits:
         """Sentence on the promise with and without the suspects."""
         several = self.suspects > 1
         return (
-            f"{self.suspects} suspected touch{'es are' if several else ' is'} left out: at most {self.budget}; if "
+            f"{self.suspects} unlabelled contact{'s are' if several else ' is'} left out: at most {self.budget}; if "
             f"{'they were' if several else 'it was'} none, 1 in {duration(1 / self.bound_per_hour, 'down')}."
         )
 

@@ -80,19 +80,19 @@ def standing(found: _core.Refit, bundle: _core.Bundle, limits: Mapping[str, Any]
     if of_joint.moved_s < LEAST_MOVED_S:
         return f"open: it moved for {of_joint.moved_s:.1f} s, and {LEAST_MOVED_S:g} s are needed"
     if any(touch.counted and touch.joint == joint for touch in found.touches):
-        return "open: its error is over its old limit too often for touches"
+        return "open: its error is over its old threshold too often for touches"
     name = bundle.links[joint].joint_name
     usual_nm = (bundle.sliding_limit_nm[joint], bundle.near_stiction_limit_nm[joint])
     for region, limit_nm in zip(REGIONS, usual_nm, strict=True):
         tail = limits["tails"].get(f"{name} {region}")
         if tail is None:
-            return "open: the bundle does not state the basis of its limit"
+            return "open: the bundle does not state the basis of its threshold"
         over = of_joint.limit_factor * tail["threshold_nm"] / limit_nm
         count, hours = peaks_over(found, joint, region, over), found.used_s / 3600
         if not is_kept(count, hours, tail["rate_per_hour"]):
             usual = tail["rate_per_hour"] * hours
             where = region.replace("_", " ")
-            return f"open: {count} errors over {over:.0%} of its limit {where}, and {usual:.2g} were usual"
+            return f"open: {count} errors over {over:.0%} of its threshold {where}, and {usual:.2g} were usual"
     return STANDS
 
 
@@ -112,15 +112,18 @@ def peaks_over(found: _core.Refit, joint: int, region: str, share: float) -> int
 def sentence(limits: Mapping[str, Any], used_s: float, open_joints: list[str]) -> str:
     """Message: which part of the old promise holds, and what a new promise needs."""
     if not promised(limits):
-        return "The bundle's limits have no promise, before and after."
+        return "The bundle's thresholds have no target false alarm rate, before and after."
     asked = limits["promise"]["asked"]
     budget = FalseAlarmBudget(asked["alarms"], asked["hours"])
     new = Promise(budget, used_s / 3600, confidence=limits["promise"]["confidence"])
     alone = f"{duration(used_s / 3600, 'down')} alone support 1 in {duration(new.supported.hours, 'down')}"
-    take = f"to promise {budget} of today's arm by itself takes {duration(new.needed_hours, 'up')} of calibration"
+    take = f"to prove {budget} of today's arm by itself takes {duration(new.needed_hours, 'up')} of calibration"
     if open_joints:
-        return f"The promise ({limits['set_for']}) is open at {', '.join(open_joints)}: {alone}; {take}."
-    return f"The promise ({limits['set_for']}) stands as far as the old errors are like today's: {alone}; {take}."
+        return (
+            f"The target false alarm rate ({limits['set_for']}) is open at {', '.join(open_joints)}: {alone}; {take}."
+        )
+    words = f"The target false alarm rate ({limits['set_for']}) holds as far as the old errors are like today's"
+    return f"{words}: {alone}; {take}."
 
 
 # --- Results of a refit by joint, as text and as JSON.
@@ -184,10 +187,10 @@ class Touch:
 
     def sentence(self) -> str:
         """Message that asks the user to inspect the moment."""
-        what = "raised its limits" if self.counted else "was left out as a touch"
+        what = "raised its thresholds" if self.counted else "was left out as a touch"
         return (
             f"{self.joint}: {self.from_s:.1f} to {self.to_s:.1f} s of '{self.recording}' is {self.limit_share:.1f} "
-            f"times its limit, which no friction explains, and {what}"
+            f"times its threshold, which no friction explains, and {what}"
         )
 
 
@@ -216,7 +219,7 @@ class Refitted:
 
     def table(self) -> str:
         """Table for the terminal, one row a joint."""
-        head = ["joint", "friction", "viscous", "constant", "limits", "promise"]
+        head = ["joint", "friction", "viscous", "constant", "thresholds", "false alarm rate"]
         rows = [head] + [
             [
                 one.joint,

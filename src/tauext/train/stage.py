@@ -262,7 +262,7 @@ def fitted_without_suspects(
         if are_same(found, suspects):
             break
         suspects = found
-        run.say("fitting again without suspected touches")
+        run.say("fitting again without unlabelled contacts")
         training, validation = (without_suspects(some, suspects) for some in (given.training, given.validation))
         free = replace(given, training=training, validation=validation)
         run, setup, fit = fitted(free, config, out, report, times)
@@ -349,7 +349,7 @@ def complete(run: TrainingRun, bundle: Bundle, setup: Setup, fit: PriorFit | Non
     put_wrench(run, bundle)  # settings and facts of forces, to which put_limits adds
     if run.constants is not None:
         run.notes.extend(run.constants.sentences(run.joints))
-    run.say("finding the limits")
+    run.say("finding the thresholds")
     put_limits(run, bundle, setup, fit)  # last: replays motion through the bundle, and caches peaks by its content
     if found := noticed_standing(bundle, run.facts.get("wrench", {}).get("poses", [])):
         run.facts["standing"] = found

@@ -93,7 +93,7 @@ def raised(bundle: Bundle, motion: LimitMotion, config: SupportedConfig = Suppor
         words, facts = f"no calibration recordings. {promised.sentence()}", promised.facts()
     except TrainingError as error:
         set_limits(bundle, paper_limits(bundle, motion.held_out, motion.threads, motion.margins), alarm)
-        words = f"limits are the largest errors seen, and promise nothing ({error})"
+        words = f"thresholds are the largest errors seen, with no target false alarm rate ({error})"
         facts = {"sentence": words}
     factor, by_nm, reserve_nm = 1.0, np.zeros(bundle.joints), None
     if follows:
@@ -280,17 +280,17 @@ class OtherMotion:
     @property
     def broken(self) -> str:
         """Words on the promise, which it does not keep; empty: it keeps it."""
-        return "The budget is not kept in motion unlike any recording" if self.factor > 1 else ""
+        return "The target false alarm rate is exceeded in motion unlike any recording" if self.factor > 1 else ""
 
     def sentence(self) -> str:
         """Text for the user."""
         some = {name: count for name, count in self.false.items() if count}
         words = (
-            f"Each recording was evaluated with limits from the others. False alarms in {duration(self.hours)}: "
-            f"{sum(some.values())}, in {len(some)} of {len(self.false)} recordings; set: {self.promised:.2g}."
+            f"Each recording was evaluated with thresholds from the others. False alarms in {duration(self.hours)}: "
+            f"{sum(some.values())}, in {len(some)} of {len(self.false)} recordings; target: {self.promised:.2g}."
         )
         if self.at_most <= 1:
-            return f"{words} The budget is also kept from one recording to the next."
+            return f"{words} The target false alarm rate also holds from one recording to the next."
         words += f" {self.broken}: " if self.broken else " In motion unlike any recording, "
         words += f"expect {self.factor:.2g} times as many false alarms (up to {self.at_most:.2g} times, at 95 % "
         words += "confidence)."
@@ -298,8 +298,8 @@ class OtherMotion:
             return words
         most = max(some, key=lambda name: some[name])
         return (
-            f"{words} Most, {some[most]}, came in {most}: more recordings of such motion help. Limits "
-            f"{self.kept_by:.2g} times as high (alarm.minutes_factor) would have kept it, and detect less."
+            f"{words} Most, {some[most]}, came in {most}: more recordings of such motion help. Thresholds "
+            f"{self.kept_by:.2g} times as high (alarm.minutes_factor) would have met the target, and detect less."
         )
 
     def facts(self) -> dict:

@@ -207,7 +207,7 @@ def suspect_sentences(suspects: Sequence[Suspect], remedy: str = "set `contact` 
         return []
     several = len(suspects) > 1
     words = (
-        f"{len(suspects)} suspected touch{'es' * several} that nobody reported, {_seconds(suspects):.1f} s in all, "
+        f"{len(suspects)} unlabelled contact{'s' * several}, {_seconds(suspects):.1f} s in all, "
         f"{'are' if several else 'is'} left out; if nothing touched the arm, {remedy}"
     )
     strongest = sorted(suspects, key=lambda one: -one.times)

@@ -249,7 +249,7 @@ def own_answer(tau_ext: np.ndarray, alarm: Any, limit: np.ndarray, recording: Re
     if given.shape not in ((recording.samples,), recording.q.shape) or given.dtype.kind not in "bif":
         raise ConfigError(
             f"the alarm of '{recording.name}' has shape {given.shape} of {given.dtype}; it must be flags or ratios to "
-            f"limits, ({recording.samples},), or ratios {recording.q.shape}"
+            f"thresholds, ({recording.samples},), or ratios {recording.q.shape}"
         )
     if given.dtype.kind == "b":
         flags = np.asarray(given.reshape(recording.samples, -1).any(axis=1))

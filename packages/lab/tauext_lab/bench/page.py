@@ -15,8 +15,8 @@ from tauext.files.atomic_write import atomic_write
 from tauext_lab.report.style import DPI, RC, bundle_strokes
 
 COLUMNS = (
-    "method", "detected at equal false alarms", "over events", "over recordings", "delay, ms", "own limits: detected",
-    "false", "L1 free, N m", "L1 in contact", "training, min", "µs a sample",
+    "method", "detected at equal false alarms", "over events", "over recordings", "delay, ms",
+    "own thresholds: detected", "false", "L1 free, N m", "L1 in contact", "training, min", "µs a sample",
 )  # fmt: skip
 
 
@@ -106,7 +106,7 @@ def curve(track: dict[str, Any]) -> str:
             found = [100 * found / contacts for _, found, _ in one["curve"]]
             stroke = strokes[one["name"]] | {"markersize": 4, "markevery": max(1, len(rates) // 12)}
             axes.step(rates, found, where="post", label=one["name"], **stroke)
-        axes.set_xlabel("measured false alarms an hour, as all limits of a method are scaled by one factor")
+        axes.set_xlabel("measured false alarms an hour, as all thresholds of a method are scaled by one factor")
         axes.set_ylabel("contacts detected, %")
         axes.set_ylim(0, 103)
         axes.set_xlim(left=0)

@@ -60,7 +60,7 @@ class Shown:
 
 SHOWN = (
     Shown("tau_ext", "tau_ext", "torque, positive where the environment pushes the joint forwards", rate="samples"),
-    Shown("declared", "declared_nm", "part of tau_ext that declared contacts explain", rate="declared"),
+    Shown("declared", "declared_nm", "part of tau_ext that expected contacts explain", rate="declared"),
     Shown("band", "contact_sigma_nm", "two standard errors of tau_ext during and after a contact", 2.0),
     Shown("limit", "limit_nm", "|tau_ext| that nothing explains above it is a collision"),
     Shown("contact_limit", "contact_limit_nm", "|tau_ext| that nothing explains above it is a contact"),
@@ -193,7 +193,7 @@ class McapLog:
         self._states = [
             (column, channel(f"/tauext/{topic}", NUMBER, _numbers(words))) for topic, (column, words) in STATES.items()
         ]
-        text = "declared contact in effect: force [N], or torque of its joint, and two standard errors; moment [N m]"
+        text = "expected contact in effect: force [N], or torque of its joint, and two standard errors; moment [N m]"
         self._declared = channel("/tauext/declared_size", JOINT_STATE, text)
         self._sizes = Template(
             JOINT_STATE, len(SIZES), lambda at, values: {"header": {"stamp": at}, "name": SIZES, "effort": values}

@@ -94,7 +94,7 @@ def draw_collisions(results: Results, signals: Signals) -> Drawing:
     ]
     moves = excerpts[0].estimates.limits_move
     if moves:
-        handles.insert(2, Line2D([], [], label="± limit", **LIMIT_LINE))
+        handles.insert(2, Line2D([], [], label="± threshold", **LIMIT_LINE))
     figure.legend(handles=handles, loc="outside upper left", ncols=4)
     where: dict[str, list[str]] = {}
     for number, excerpt in enumerate(excerpts, 1):
@@ -105,7 +105,7 @@ def draw_collisions(results: Results, signals: Signals) -> Drawing:
         f"Figure 7. {sentence(bundle.label)}: observer and {what} while {len(excerpts)} collisions "
         f"happen. What was learned goes on as if nothing touched the arm; what the two differ by is the external "
         f"torque. Excerpts of about {LENGTH_S:g} s are joined at the vertical lines. Recordings: {places}."
-        + (" The limit follows the motion: a collision is where the observer leaves it." if moves else ""),
+        + (" The threshold follows the motion: a collision is where the observer leaves it." if moves else ""),
     )
 
 
@@ -297,16 +297,16 @@ def draw_found_curve(results: Results) -> Drawing:
     first_over = next((at for at, (low, _) in enumerate(edges) if low >= 1), None)
     if first_over is not None:
         axes.axvline(first_over - 0.5, color="#555555", linestyle="--", linewidth=1)
-        write_above(axes, first_over - 0.5, "the limit", color="#555555")
+        write_above(axes, first_over - 0.5, "the threshold", color="#555555")
     axes.set_xticks(range(len(edges)), [bin_label(results, edge) for edge in edges])
-    axes.set(xlabel="peak of the sensor reference over the limit; below, collisions in the bin", ylabel="found, %")
+    axes.set(xlabel="peak of the sensor reference over the threshold; below, collisions in the bin", ylabel="found, %")
     axes.set(ylim=(-6, 106), xlim=(-0.5, len(edges) - 0.5))
     figure.legend(loc="outside upper left", ncols=-(-len(names) // -(-len(names) // 5)))
     return Drawing(
         figure,
         "Collisions found over how hard they were: the peak of the sensor reference on the joint where it is largest "
-        "in units of the limit that holds there at that moment. Limits differ from bundle to bundle, and so do the "
-        "counts; a larger dot means more collisions." + results.shown_note,
+        "in units of the threshold that holds there at that moment. Thresholds differ from bundle to bundle, and so do "
+        "the counts; a larger dot means more collisions." + results.shown_note,
     )
 
 
@@ -363,8 +363,8 @@ def draw_missed_curve(results: Results) -> Drawing:
     figure.legend(loc="outside right upper", handlelength=3)
     return Drawing(
         figure,
-        "Collisions missed over false collisions an hour, as all limits of a method are lowered and raised by one "
-        "factor: lower and further left is better. The mark shows the method with its own limits. In the "
+        "Collisions missed over false collisions an hour, as all thresholds of a method are lowered and raised by one "
+        "factor: lower and further left is better. The mark shows the method with its own thresholds. In the "
         f"grey strip no false collision fell in {duration(hours)} of free motion; how far left does not matter there.",
     )
 

@@ -174,7 +174,7 @@ def draw_error_over_speed(results: Results, signals: Signals) -> Drawing:
         Patch(color="#0072b2", label="samples, darker where more"),
     ]
     if any(limit is not None for limit in bundle.limits.sliding_nm):
-        words = "limit, median at a speed" if bundle.limits.moving else "limit"
+        words = "threshold, median at a speed" if bundle.limits.moving else "threshold"
         legend.append(Line2D([], [], color=LIMIT, linestyle="--", label=words))
     figure.legend(handles=legend, loc="outside upper left", ncols=4)
     left = sorted(set(bundle.free_motion.recordings) - set(used))
@@ -182,8 +182,8 @@ def draw_error_over_speed(results: Results, signals: Signals) -> Drawing:
         figure,
         f"Figure 6. Error of the estimate over joint speed, {bundle.label}, {len(speed):,} samples of "
         f"{len(used)} test recordings. Nothing touches the arm, so the whole estimate is error; it is largest near "
-        f"stiction, which is why that region has a limit of its own."
-        + (" Limits follow the motion, hence differ at one speed, too." if bundle.limits.moving else "")
+        f"stiction, which is why that region has a threshold of its own."
+        + (" Thresholds follow the motion, hence differ at one speed, too." if bundle.limits.moving else "")
         + left_out(left),
     )
 

@@ -83,8 +83,8 @@ def draw_flight(flight: Flight) -> Drawing:
     figure.legend(handles=legend(flight, columns), loc="outside upper left", ncols=4)
     return Drawing(
         figure,
-        f"All that the flight holds, {flight.since_s[0]:+.2f} s to {flight.since_s[-1]:+.2f} s around the event. "
-        f"A joint is found in {flight.limit_level} where its external torque leaves the limits."
+        f"All that the event log holds, {flight.since_s[0]:+.2f} s to {flight.since_s[-1]:+.2f} s around the event. "
+        f"A joint is found in {flight.limit_level} where its external torque leaves the thresholds."
         + (f" {flight.event['joint']} is the event's joint." if flight.event["joint"] else "")
         + carried_words(flight),
     )
@@ -117,7 +117,9 @@ def draw_close(flight: Flight) -> Drawing:
     figure.legend(handles=legend(flight, columns), loc="outside upper left", ncols=4)
     name = flight.recording.joints[joint]
     chosen = (
-        "the event's joint" if flight.event["joint"] else "the joint nearest to its limit, since no one had the event"
+        "the event's joint"
+        if flight.event["joint"]
+        else "the joint nearest to its threshold, since no one had the event"
     )
     return Drawing(figure, f"The event from close by: {name}, {chosen}.")
 
@@ -177,7 +179,7 @@ def legend(flight: Flight, columns: Sequence[str]) -> list[Line2D | Patch]:
     sigma = flight.estimates.band_nm
     lines = [
         Line2D([], [], color=TAU_EXT, label="external torque" + ("" if sigma is None else " ± standard error")),
-        Line2D([], [], color=LIMIT, linestyle="--", linewidth=0.9, label=f"{flight.limit_level} limit"),
+        Line2D([], [], color=LIMIT, linestyle="--", linewidth=0.9, label=f"{flight.limit_level} threshold"),
     ]
     if "observer" in columns:
         lines += [
@@ -308,7 +310,7 @@ JOINT_COLUMNS = (
     "joint",
     "tau_ext, {unit}",
     "standard error, {unit}",
-    "{level} limit, {unit}",
+    "{level} threshold, {unit}",
     "margin, {unit}",
     "observer, {unit}",
     "{learned}, {unit}",

@@ -100,14 +100,15 @@ def load_flight(path: Path) -> Flight:
     is_explained = isinstance(explanation, str) and bool(explanation.strip())
     if not isinstance(event, dict) or not is_explained:
         raise RecordingError(
-            f"{path}: a recording, but no flight: its provenance has no event; `tauext run --flights` writes flights"
+            f"{path}: a recording, but no event log: its provenance has no event; "
+            "`tauext run --flights` writes event logs"
         )
     beside = path.with_name(path.stem + ESTIMATES)
     estimates = load_estimates(beside)
     if estimates.contact_limit_nm is None:
-        raise RecordingError(f"{beside}: its contact limits are missing; record the flight again")
+        raise RecordingError(f"{beside}: its contact thresholds are missing; record the event log again")
     if estimates.joints != recording.joints or not np.array_equal(estimates.t_ns, recording.t_ns):
-        raise RecordingError(f"{beside}: its joints or times are not those of {path.name}; it is of another flight")
+        raise RecordingError(f"{beside}: its joints or times are not those of {path.name}; it is of another event log")
     check_event(path, event, len(recording.joints))
     loads, of = facts.get("loads"), {"t_ns", "mass_kg"}
     if not isinstance(loads, list) or not all(isinstance(one, dict) and of <= one.keys() for one in loads):
@@ -137,5 +138,5 @@ def flights_in(folder: Path) -> list[Path]:
     """
     flights = [path for path in folder.glob("*.parquet") if path.with_name(path.stem + ESTIMATES).is_file()]
     if not flights:
-        raise ConfigError(f"{folder}: there are no flights in this folder; `tauext run --flights` writes them")
+        raise ConfigError(f"{folder}: there are no event logs in this folder; `tauext run --flights` writes them")
     return sorted(flights)

@@ -38,10 +38,10 @@ COLOURS = (CASE_COLOURS["none"], CASE_COLOURS["exact"], VARIANT_COLOURS["none"],
 MOST_N, EDGE_N = 1000.0, 1950.0
 """Above MOST_N a direction is blind; blind marks are drawn between MOST_N and EDGE_N."""
 BLIND_N = 1400.0
-BLIND = "blind"
+UNOBSERVABLE = "unobservable"
 CLOSING = (
-    "ISO/TS 15066 and your risk assessment define what force is allowed where; these are what tauext would notice, not "
-    "what the contact would do."
+    "ISO/TS 15066 and your risk assessment define what force is allowed where; these are what tauext would "
+    "detect, not what the contact would do."
 )
 
 Limit = TypeVar("Limit")
@@ -67,7 +67,7 @@ def left_out_words(joints: Sequence[str]) -> str:
     """A sentence about joints that do not answer in N m; empty without any."""
     if not joints:
         return ""
-    return f"Without {', '.join(joints)}: their torque constants are unknown, so what they notice is not counted."
+    return f"Without {', '.join(joints)}: their torque constants are unknown, so what they detect is not counted."
 
 
 def surely(error_share: float) -> float:
@@ -105,21 +105,23 @@ def draw_noticed_force(noticed: NoticedForce | None) -> Drawing:
     axes.set_xlim(right=EDGE_N)
     axes.grid(axis="x")
     axes.grid(visible=False, axis="y")
-    axes.set_xlabel("smallest force that goes over the limit, N")
-    axes.text(BLIND_N, -0.55, BLIND, ha="center", va="bottom", color="#555555")
+    axes.set_xlabel("minimum detectable force, N")
+    axes.text(BLIND_N, -0.55, UNOBSERVABLE, ha="center", va="bottom", color="#555555")
     figure.legend(handles=handles(names), loc="outside upper left", ncols=4 if len(names) == 1 else 3)
     return Drawing(
         figure,
-        f"What force at the end of each link goes over a limit, over {noticed.poses} poses. Dot: the median over poses "
+        f"Minimum detectable force at the end of each link, over {noticed.poses} poses. Dot: the median over poses "
         "and directions; bar: to the force that nine of ten of them are below; diamond: the worst direction in the "
-        "median pose. Blind: it takes more than 1000 N, or no joint feels it at all."
+        "median pose. Unobservable: it takes more than 1000 N, or no joint feels it at all."
         f"{' ' if noticed.left_out else ''}{left_out_words(noticed.left_out)}",
     )
 
 
 def handles(names: list[str]) -> list[Line2D]:
     colours = [COLOURS[k % len(COLOURS)] for k in range(len(names))]
-    found = [Line2D([], [], color=c, linewidth=3.2, label=f"{n} limit") for c, n in zip(colours, names, strict=True)]
+    found = [
+        Line2D([], [], color=c, linewidth=3.2, label=f"{n} threshold") for c, n in zip(colours, names, strict=True)
+    ]
     dot = {"color": GREY, "linestyle": "none"}
     return [
         *found,
@@ -156,7 +158,7 @@ def forces_table(bundles: Sequence[EvaluatedBundle], shown: EvaluatedBundle) -> 
             rows += block(bundle.label, [[at, *[NONE] * 5, *hits(theirs, at, shapes)] for at in left], bundle.name)
     groups = (("", 2), ("lasts, every way", 2), ("worst way", 2), ("", 1), *((shape, 2) for shape in shapes))
     unit = "N" if added is None else added.unit
-    columns = ("limit", "at the end of", *("median", "9 of 10"), *("median", "worst"), "blind, %")
+    columns = ("threshold", "at the end of", *("median", "9 of 10"), *("median", "worst"), "unobservable, %")
     return Table(groups, (*columns, *(unit, "ms") * len(shapes)), tuple(rows), words=2)
 
 
@@ -181,7 +183,7 @@ def short(place: str) -> str:
 
 def newtons(force_n: float | None) -> str:
     if force_n is None:
-        return BLIND
+        return f">{MOST_N:g}"
     return f"{force_n:.1f}" if force_n < 10 else f"{force_n:.0f}"
 
 
@@ -223,7 +225,7 @@ def draw_injected(bundles: Sequence[EvaluatedBundle], shown: EvaluatedBundle) ->
     if injected is None:
         raise NotAvailable("no forces were added to free motion; `tauext evaluate --inject` does so")
     if not injected.curves:
-        raise NotAvailable("no force could be added: the free test motion holds none of 4 s, or no joint notices any")
+        raise NotAvailable("no force could be added: the free test motion holds none of 4 s, or no joint detects any")
     place, shapes = injected.place, [one.shape for one in injected.at(injected.place)]
     figure = Figure(figsize=(WIDTH_IN, 4.6), layout="constrained")
     panels = figure.subplots(2, len(shapes), sharex="col", sharey="row", squeeze=False)
@@ -279,7 +281,7 @@ def pressed_words(injected: Injected) -> str:
         return ""
     late = f", after {milliseconds(one.delay_median_s)} ms instead of {milliseconds(one.delay_free_median_s)} ms"
     return (
-        f"While the tool presses with {one.least_n:.0f} to {one.most_n:.0f} N, which is declared, {one.latched} of "
+        f"While the tool presses with {one.least_n:.0f} to {one.most_n:.0f} N, as expected, {one.latched} of "
         f"{one.events} events are detected, in free motion {one.latched_free}{late if one.latched else ''}. Pressing "
         f"alone raised {one.false_collisions} false collisions in {duration(one.hours)}."
     )

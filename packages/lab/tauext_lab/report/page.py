@@ -166,7 +166,7 @@ def found(bundle: EvaluatedBundle) -> Glance:
     if latched.unhealthy:
         why = f"; {latched.unhealthy} came while the monitor was not healthy, and nothing is detected"
     else:
-        why = "" if latched.latched else "; none pushed a joint over its limit for as long as an alarm takes"
+        why = "" if latched.latched else "; none pushed a joint over its threshold for as long as an alarm takes"
     return Glance(value, words + strong + why)
 
 
@@ -210,7 +210,7 @@ def delay(bundle: EvaluatedBundle) -> Glance:
 
 def limits(results: Results, bundle: EvaluatedBundle) -> Glance:
     words = "push on a joint that raises an alarm while it moves" + (
-        " in the usual way; the limit follows the motion" if bundle.limits.moving else ""
+        " in the usual way; the threshold follows the motion" if bundle.limits.moving else ""
     )
     near = joint_list(results, bundle.limits.near_stiction_nm)
     at_rest = f"; at rest or creeping: {near}" if near else ""
@@ -219,7 +219,7 @@ def limits(results: Results, bundle: EvaluatedBundle) -> Glance:
 
 def unseen(results: Results, bundle: EvaluatedBundle) -> list[str]:
     """Its limitations, with the test's results."""
-    lines = ["Touches that push every joint by less than its limit." + weak_words(bundle)]
+    lines = ["Touches that push every joint by less than its threshold." + weak_words(bundle)]
     lines.append(
         "Forces that turn no joint: along a link towards the base, or through a joint's axis. Encoders and motors do "
         "not feel them."
@@ -252,13 +252,13 @@ def steps(results: Results, bundle: EvaluatedBundle) -> list[Step]:
         lines.append(Step(words, "tauext check"))
     if free.promised_per_hour is None:
         words = (
-            "The limits are set for no rate of false alarms. Record an hour or more of the arm's own work with nothing "
+            "The thresholds have no target false alarm rate. Record an hour or more of the arm's own work with nothing "
         )
-        lines.append(Step(f"{words}touching it, and set the limits for an acceptable rate:", "tauext calibrate"))
+        lines.append(Step(f"{words}touching it, and set the thresholds for an acceptable rate:", "tauext calibrate"))
     elif free.promise_kept is False:
         most = free.promised_per_hour if free.at_most_per_hour is None else free.at_most_per_hour
-        words = f"The limits allow at most {plain(most)} false alarms an hour, and the test had more. "
-        words += "Find out what differs (load, speed, temperature), record it, and set new limits:"
+        words = f"The thresholds allow at most {plain(most)} false alarms an hour, and the test had more. "
+        words += "Find out what differs (load, speed, temperature), record it, and set new thresholds:"
         lines.append(Step(words, "tauext calibrate"))
     if free.hours and free.hours < FEW_HOURS:
         rate = plain(NO_ALARMS_BELOW / free.hours)

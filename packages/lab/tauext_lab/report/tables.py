@@ -231,7 +231,7 @@ def regions(results: Results) -> Table:
 
 
 def limit_heading(results: Results) -> str:
-    return "limit in usual motion,\n" if results.some_limits_move else "limit"
+    return "threshold in usual motion,\n" if results.some_limits_move else "threshold"
 
 
 def extremes(results: Results) -> Table:
@@ -247,7 +247,7 @@ def alarms(results: Results) -> Table:
     groups = [
         ("", 1),
         ("collisions found", 3 if show_paper else 2),
-        ("over a limit in free motion", 3),
+        ("over a threshold in free motion", 3),
         ("training", 4),
     ]
     of = f"of the {len(results.ten_collisions)}"

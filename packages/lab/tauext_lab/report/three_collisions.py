@@ -121,9 +121,10 @@ def draw_three_collisions(results: Results, signals: Signals) -> Drawing:
     return Drawing(
         figure,
         f"Figure 8. {results.joints[joint]}, {len(collisions)} collisions: above, the external torque from the joint "
-        f"torque sensor and the estimate of every bundle; below, the moment of impact. Each bundle has its own limit; "
-        f"a bar runs from where the sensor goes over that limit to where the estimate does, and the number is the "
-        f"delay against the sensor; the first joint over its limit counts. Time 0 is the onset of contact."
+        f"torque sensor and the estimate of every bundle; below, the moment of impact. Each bundle has its own "
+        f"threshold; a bar runs from where the sensor exceeds that threshold to where the estimate does, and the "
+        f"number is the delay against the sensor; the first joint over its threshold counts. Time 0 is the onset of "
+        f"contact."
         + missed_words(results, joint, collisions)
         + ("" if sensed else " There is no sensor here: delays count from the onset, as it is labelled.")
         + bands
@@ -270,11 +271,11 @@ def legend(results: Results, drawn: list[str], colours: dict[str, str], sensed: 
     reference = "sensor reference" if sensed else "recorded tau_ext, if any"
     lines = [Line2D([], [], color=SENSOR, linewidth=2, label=reference)]
     lines += [Line2D([], [], color=colours[name], label=results.labels[name]) for name in drawn]
-    over = [Line2D([], [], color=grey, linestyle="none", **SENSOR_MARK, label="sensor over the limit")]
+    over = [Line2D([], [], color=grey, linestyle="none", **SENSOR_MARK, label="sensor over the threshold")]
     lines += [
-        Line2D([], [], color=LIMIT, linestyle="--", label=f"limit ({results.labels[drawn[0]]})"),
+        Line2D([], [], color=LIMIT, linestyle="--", label=f"threshold ({results.labels[drawn[0]]})"),
         Patch(color=CONTACT, label="contact"),
         *(over if sensed else []),
-        Line2D([], [], color=grey, linestyle="none", **FOUND_MARK, label="estimate over the limit"),
+        Line2D([], [], color=grey, linestyle="none", **FOUND_MARK, label="estimate over the threshold"),
     ]
     return lines

@@ -71,7 +71,7 @@ function valuesAt(joint, t) {
     const [low, high] = tier.trace(c.index, 0).map((v) => v[k]);
     const unit = content.units[c.joint];
     const number = Number.isNaN(low) ? "none" : high - low > 1e-12 ? `${text(low, 3)} to ${text(high, 3)} ${unit}` : `${text(low, 3)} ${unit}`;
-    return `${BANDS[c.signal] ? `${c.signal === "limit" ? "limit" : c.label} ±` : c.label}${c.method && methods().length > 1 ? ` (${c.method.label})` : ""}  ${number}`;
+    return `${BANDS[c.signal] ? `${c.signal === "limit" ? "threshold" : c.label} ±` : c.label}${c.method && methods().length > 1 ? ` (${c.method.label})` : ""}  ${number}`;
   });
   return { time: first[k], until: last[k], lines };
 }

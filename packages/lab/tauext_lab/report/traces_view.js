@@ -6,7 +6,7 @@ const texts = [...root.querySelectorAll(".traces-data")];
 const canvas = find("canvas"), message = find(".message"), picker = document.getElementById("traces-recording");
 const SIGNALS = {
   tau_ext: { label: "external torque", width: 1.3, shade: 0 },
-  limit: { label: "limits", width: 1, shade: 0.35 },
+  limit: { label: "thresholds", width: 1, shade: 0.35 },
   sigma: { label: "standard error", width: 0.8, shade: 0.5 },
   r: { label: "observer r", width: 2.6, shade: 0.6 },
   learned: { label: content.learned, width: 1.1, shade: -0.35 },

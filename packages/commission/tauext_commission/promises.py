@@ -26,7 +26,7 @@ from tauext.data.recording import Recording
 from tauext.errors import TauextError
 from tauext.files.checkpoint import Checkpoint
 from tauext.files.provenance import provenance
-from tauext.train.calibrate import write_calibrated
+from tauext.train.calibrate import remove_reserves, write_calibrated
 from tauext.train.held_peaks import Peaks, collect_peaks
 from tauext.train.limits import LIMITS
 from tauext.train.paper_limits import LimitMotion
@@ -78,7 +78,7 @@ class CalibrationPeaks:
         """Alarms answered `nothing` when the newest limits were found."""
         self.forgotten: dict[int, tuple[int, int]] = {}
         """Spans of labels whose peaks were left out."""
-        self._checkpoint = Checkpoint(folder.path / "peaks.state", f"{base}, layout 3")
+        self._checkpoint = Checkpoint(folder.path / "peaks.state", f"{base}, layout 4")
 
     @classmethod
     def load(cls, folder: CommissionFolder, base: str) -> CalibrationPeaks:
@@ -98,6 +98,12 @@ class CalibrationPeaks:
     def hours(self) -> float:
         return self.peaks[0].hours if self.peaks else 0.0
 
+    def model(self) -> _core.Bundle:
+        """The bundle whose errors the peaks are, without what its limits reserve for motion that they had not seen."""
+        bundle = load_bundle(self._folder.bundles / f"{self.base}.tauext")
+        remove_reserves(bundle)
+        return bundle
+
     def news(self, labels: Sequence[Label]) -> bool:
         """Whether answers have come since the newest limits."""
         return any(one.answer == "nothing" and one.id not in self.limited for one in labels)
@@ -114,7 +120,7 @@ class CalibrationPeaks:
         again = [one for one in labels if one.answer == "nothing" and one.id not in self.counted]
         false = [one for one in segments if any(meets(one, label) for label in again)]
         false = [one for one in false if one.set != "calibration" or one.number <= self.learned]
-        bundle = load_bundle(self._folder.bundles / f"{self.base}.tauext")
+        bundle = self.model()
         numbers = {one.number for one in (*fresh, *false)}
         before, spans, since = copy.deepcopy(self.peaks), list[Span](), len(self.spans)
         try:
@@ -303,7 +309,7 @@ class Promises:
         started = time.monotonic()
         segments = segments_of_arm(folder)
         calibration.learn([], segments)
-        bundle = load_bundle(folder.bundles / f"{calibration.base}.tauext")  # without the refit of a morning
+        bundle = calibration.model()  # without the refit of a morning
         alarm, chosen = alarm_to_train(folder.path), rate_of(chosen_alarm(folder.path))
         try:
             motion = LimitMotion(out.stem, alarm, THREADS, peaks=calibration.peaks, suspects=calibration.suspects())

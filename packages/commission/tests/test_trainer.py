@@ -21,7 +21,7 @@ from tauext_commission.connect import HELD, Remark, as_entries
 from tauext_commission.folder import CommissionFolder
 from tauext_commission.history import describe_folder, kept_of
 from tauext_commission.history_file import active_bundle, read_findings, read_history, read_labels
-from tauext_commission.promises import CalibrationPeaks
+from tauext_commission.promises import CalibrationPeaks, Promises
 from tauext_commission.trainer import Trainer, why_not, why_worse
 from tauext_lab.sim.collect import simulate_recording
 from tauext_lab.sim.config import RigConfig, changed_friction
@@ -202,6 +202,30 @@ def test_limits_follow_from_calibration_and_grow_with_it(copy, motion, quick):
     assert again.promises.calibration().hours == hours and again.promises.calibration().base == "b0001"
 
 
+def test_limits_from_calibration_contain_no_reserve_of_the_first_minutes(copy, motion, quick):
+    """Floors and friction that the first bundle's limits reserve, five times as much here, stay in no later limit."""
+    filled(copy.path, [cut(motion, slice(121_000, 200_000))])
+    path, limits = copy.bundles / "b0001.tauext", []
+    reserved = path.read_bytes()
+    for times in (1.0, 5.0):
+        bundle = _core.Bundle.from_bytes(reserved)
+        assert bundle.near_memory_s > 0
+        scale = bundle.error_scale
+        scale.limit_weights, scale.largest = (list(times * np.array(x)) for x in (scale.limit_weights, scale.largest))
+        bundle.error_scale, bundle.near_memory_s = scale, times * bundle.near_memory_s
+        path.write_bytes(bundle.to_bytes())
+        calibration = CalibrationPeaks(copy, "b0001")
+        calibration.learn([part for part in copy.segments() if part.set == "calibration"], copy.segments())
+        renewed = Promises(copy, lambda *_: ({}, ""))
+        renewed._calibration = calibration
+        renewed.renew()
+        new = load_bundle(copy.path / active_bundle(copy.path))
+        limits.append([new.sliding_limit_nm, new.near_stiction_limit_nm, new.error_scale.limit_weights])
+        assert new.near_memory_s == 0
+    for one, other in zip(*limits, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12)
+
+
 def test_calibration_motion_is_judged_with_the_drift_that_the_loop_has_by_then(copy, quick):
     """Peaks are errors of a monitor that ran through all motion before; friction is off by a third."""
     day = another_day(1.35)
@@ -210,7 +234,7 @@ def test_calibration_motion_is_judged_with_the_drift_that_the_loop_has_by_then(c
     while one.step() != "learn":
         pass
     peaks = one.promises.calibration().peaks[0]
-    bundle = load_bundle(copy.bundles / "b0001.tauext")
+    bundle = one.promises.calibration().model()
     bundle.drift.freeze_share = 0.0
     run = _core.Monitor(bundle).run(day.t_ns, day.q, day.dq, day.tau)
     error = np.maximum(np.abs(run["tau_ext"]) - run["doubt"], 0) / run["limit_scale"]

@@ -47,8 +47,8 @@ def recalibrate(
     The quick checks (tauext.check) run first on every recording: faults are refused, warnings are reported and stored.
     An interrupted run resumes after its last finished recording.
 
-    What minutes of motion added to the limits is removed first (floors, a share of friction, the time for which limits
-    at rest outlast a rest), so that the limits are those of a training with these calibration recordings.
+    The reserves of a training on minutes of motion are removed first (`remove_reserves`), so that the limits are those
+    of a training with these calibration recordings.
 
     Its run file, with the first one's content, and its wall time are written beside it.
 
@@ -70,12 +70,10 @@ def recalibrate(
     files, where = dataset.files("calibration"), str(dataset.folder)
     checked = check_for_bundle(loaded, "calibration", files, where, accept, threads, report)
     facts["checks"] = facts.get("checks", {}) | checked
-    loaded.near_memory_s = 0.0
+    remove_reserves(loaded)
     if refit_error_scale:
         loaders, found = refit_scale(loaded, loaders, threads, report)
         facts["error_scale"] = found | {"of_limits": limit_scale(loaded)}
-    else:
-        put_limit_scale(loaded, facts.get("error_scale", {}).get("of_limits", {}))
     rejected = Rejected.of(loaded, fitting(loaded, loaders), threads or os.cpu_count() or 1)
     if words := rejected.warning("the calibration recordings", accept):
         report.say(words)
@@ -99,6 +97,16 @@ def recalibrate(
     write_calibrated(loaded, out, facts, started, history, report, accept, worse)
     remove_checkpoint(out)
     return limits
+
+
+def remove_reserves(bundle: _core.Bundle) -> None:
+    """Remove what minutes of motion added to a bundle's limits: floors, a share of friction, the time for which limits
+    at rest outlast a rest.
+
+    Limits from calibration follow, whose errors refer to the scale without them.
+    """
+    bundle.near_memory_s = 0.0
+    put_limit_scale(bundle, json.loads(bundle.provenance or "{}").get("error_scale", {}).get("of_limits", {}))
 
 
 def put_injected_spread(bundle: _core.Bundle, loaders: Loaders, threads: int, report: Reporter) -> dict:

@@ -36,7 +36,9 @@ class ArmSearch:
     """Fewest rows, 10 s of motion: an arm has some seventy unknowns."""
     moves_rad_s: float = 0.02
     """Rows count where a joint moves faster than this, if these are enough: of an arm at rest, friction holds any part
-    of gravity."""
+    of gravity ..."""
+    rests: bool = False
+    """... but rests count, too: a servo with play shows there what its gear carries."""
     beam: int = 8
     """Candidates that are kept from joint to joint ..."""
     refined: int = 3
@@ -62,7 +64,7 @@ class ArmSearch:
 
 
 class KinematicSample:
-    """Up to two minutes at the network's rate, where the arm moves, and the equations for comparing candidates.
+    """Up to two minutes at the network's rate, and the equations for comparing candidates.
 
     Args:
         tree: the estimated model: empty, with the gravity of its base.
@@ -100,13 +102,13 @@ class KinematicSample:
         settings.weights = [0.0] * (self.joints * len(settings.terms))
         step = max(1, round(config.row_s / (self.observer.sample_period_ns * 1e-9)))
         observed = []
-        for piece in pieces(recordings, config.sample_s, config.piece_s):
+        for piece in pieces(recordings, config.sample_s, config.piece_s, config.rests):
             thin = thinned(piece, observer.network_stride)
             observation = _core.observe(tree, self.observer, *thin.signals)
             rows = np.flatnonzero(observation.warm.astype(bool))[::step].astype(np.int64)
             observed.append((thin, observation.residual, rows))
         moving = [rows[(np.abs(thin.dq[rows]) > config.moves_rad_s).any(axis=1)] for thin, _, rows in observed]
-        enough = sum(map(len, moving)) >= config.least_rows
+        enough = not config.rests and sum(map(len, moving)) >= config.least_rows
         for (thin, residual, all_rows), moving_rows in zip(observed, moving, strict=True):
             rows = moving_rows if enough else all_rows
             if len(rows) < FOLDS:
@@ -164,14 +166,18 @@ class KinematicSample:
         return Regression(equations)
 
 
-def pieces(recordings: Sequence[Recording], most_s: float, piece_s: float) -> list[Recording]:
-    """All recordings, or as many pieces of this length, spread evenly over those that move, as make up most_s."""
+def pieces(recordings: Sequence[Recording], most_s: float, piece_s: float, rests: bool = False) -> list[Recording]:
+    """All recordings, or as many pieces of this length, spread evenly over those that move, as make up most_s.
+
+    Args:
+        rests: pieces that do not move count, too.
+    """
     whole_s = sum(recording.duration_s for recording in recordings)
     if whole_s <= most_s:
         return list(recordings)
     whole = all_pieces(recordings, piece_s)
     moves = [(np.abs(piece.dq) > ArmSearch.moves_rad_s).any(axis=1).mean() >= ArmSearch.least_moving for piece in whole]
-    cut = [piece for piece, moving in zip(whole, moves, strict=True) if moving] or whole
+    cut = [piece for piece, moving in zip(whole, moves, strict=True) if moving or rests] or whole
     wanted = max(1, int(most_s // piece_s))
     return [cut[k] for k in np.unique(np.linspace(0, len(cut) - 1, wanted).astype(int))]
 

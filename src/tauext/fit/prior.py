@@ -417,6 +417,11 @@ def bound_loads(setup: Setup, recordings: Sequence[Recording], fit: PriorFit, be
         settings.most_load_nm = (beyond * most).tolist()
 
 
+RESTS_HELP = 0.01
+"""An arm that was found in rests, too, is taken if it lowers the error on left-out motion by this share: friction holds
+gravity at rest, but a servo with play shows there what its gear carries."""
+
+
 def find_inertia(
     setup: Setup,
     recordings: Sequence[Recording],
@@ -427,25 +432,38 @@ def find_inertia(
 ) -> tuple[Inertia, PriorFit]:
     """Terms of gravity and inertia for an arm without a model, and a first fit with them.
 
-    An arm found from its motion predicts poses that training never saw, which sines and cosines of
-    the angles cannot; those are used if they explain left-out motion better by `costs`.
+    An arm found from its motion, or from that and its rests (RESTS_HELP), predicts poses that training never saw, which
+    sines and cosines of the angles cannot; those are used if they explain left-out motion better by `costs`.
     """
     nothing: list[list[int]] = [[] for _ in range(setup.tree.size)]
     basis = fit_terms(setup, recordings, config, nothing, Inertia())
     if not (config.find_kinematics and can_be_found(setup)):
         return Inertia(), basis
     own = [own_terms(setup, config, joint) for joint in range(setup.tree.size)]
-    sample = KinematicSample(setup.tree, setup.observer, recordings, own, setup.widths_rad)
-    if sample.rows < ArmSearch.least_rows:
-        return Inertia(), basis
     joints = tuple(link.joint_name for link in setup.tree.links)
-    kinematics = find_kinematics(sample, report, start=known).kinematics
-    inertia = Inertia(kinematics.tree(joints, setup.tree.gravity), kinematics=kinematics)
-    fit = fit_terms(setup, recordings, config, nothing, inertia)
-    inertia = replace(inertia, load=CORRECTED, loads=tuple(fit.settings.corrected_links))
-    fit = fit_terms(setup, recordings, config, nothing, inertia)
-    rms = np.maximum(fit.regression.target_rms, np.sqrt(LEAST_SQUARE))
-    with_arm, without = (float(np.sqrt(np.mean((one.error_nm / rms) ** 2))) for one in (fit, basis))
+    rms = np.maximum(basis.regression.target_rms, np.sqrt(LEAST_SQUARE))
+
+    def error(fit: PriorFit) -> float:
+        return float(np.sqrt(np.mean((fit.error_nm / rms) ** 2)))
+
+    def with_arm_of(sample: KinematicSample) -> tuple[Inertia, PriorFit]:
+        kinematics = find_kinematics(sample, report, start=known).kinematics
+        inertia = Inertia(kinematics.tree(joints, setup.tree.gravity), kinematics=kinematics)
+        fit = fit_terms(setup, recordings, config, nothing, inertia)
+        inertia = replace(inertia, load=CORRECTED, loads=tuple(fit.settings.corrected_links))
+        return inertia, fit_terms(setup, recordings, config, nothing, inertia)
+
+    moving, all_rows = (
+        KinematicSample(setup.tree, setup.observer, recordings, own, setup.widths_rad, ArmSearch(rests=rests))
+        for rests in (False, True)
+    )
+    samples = [one for one in (moving, all_rows) if one.rows >= ArmSearch.least_rows]
+    if not samples:
+        return Inertia(), basis
+    if len(samples) > 1 and np.array_equal(moving.target, all_rows.target):
+        samples.pop()
+    inertia, fit = simplest([with_arm_of(one) for one in samples], lambda one: error(one[1]), RESTS_HELP)
+    with_arm, without = error(fit), error(basis)
     report(f"error on left-out motion: {with_arm:.1%} of r with the arm found, {without:.1%} with sines and cosines")
     return (Inertia(), basis) if (1 - costs) * with_arm > without else (inertia, fit)
 

@@ -139,4 +139,4 @@ def test_collisions_in_unhealthy_time_are_no_misses_of_the_limits(results):
     assert "not healthy for 86% of the time (wrong rate)" in screen.tested
     assert screen.steps[0].command == "tauext check"
     calm = replace(bundle, latched=replace(latched, unhealthy=0))
-    assert "none pushed a joint over its limit" in first_screen(replace(results, bundles=(calm,))).glances[0].means
+    assert "none pushed a joint over its threshold" in first_screen(replace(results, bundles=(calm,))).glances[0].means

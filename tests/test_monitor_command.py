@@ -124,7 +124,7 @@ def test_what_a_standing_alarm_hides_is_shown_and_how_to_show_it(place, capsys):
         ((*SOURCE, "--cell", "none.toml"), "none.toml: there is no such file; docs/running.md has an example"),
         ((*SOURCE, "--cell", "wrong.toml"), "unknown key 'reaction'; the nearest known is 'reactions'"),
         ((*SOURCE, "--control", "no/such"), "no/such: no control socket"),
-        ((*SOURCE, "--flights", "pushed.parquet"), "pushed.parquet: no folder for flights"),
+        ((*SOURCE, "--flights", "pushed.parquet"), "pushed.parquet: no folder for event logs"),
         ((*SOURCE, "--record", "pushed.parquet"), "pushed.parquet: no folder for recordings"),
     ],
 )

@@ -138,7 +138,7 @@ def test_training_prints_its_phases(capsys, tmp_path):
     save_split(Split(("run.parquet",), (), ()), tmp_path)
     main(["train", "--data", str(tmp_path), "--recipe", "friction", "--out", str(tmp_path / "a.tauext")])
     err = capsys.readouterr().err
-    phases = ("checking the data", "observing the motion", "fitting friction and model", "finding the limits")
+    phases = ("checking the data", "observing the motion", "fitting friction and model", "finding the thresholds")
     places = [err.find(phase) for phase in phases]
     assert -1 not in places and places == sorted(places), err
 

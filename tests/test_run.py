@@ -309,7 +309,7 @@ def test_a_contact_is_reported_with_its_own_limit_in_lines_and_json(bundle, tmp_
     assert said["contact_limit_nm"][k, joint] == limit
     _, out, _ = run(capsys, tmp_path / "watching.tauext", tmp_path / "soft.parquet")
     (told,) = [line for line in out.splitlines() if "CONTACT" in line]
-    assert "contact limit" in told and told.endswith(f" {limit:.2f} Nm")
+    assert "contact threshold" in told and told.endswith(f" {limit:.2f} Nm")
     _, out, _ = run(capsys, tmp_path / "watching.tauext", tmp_path / "soft.parquet", "--json")
     events = [json.loads(line) for line in out.splitlines()]
     (alarm,) = [one for one in events if one["event"] == "alarm" and one["alarm"] == "contact"]
@@ -325,9 +325,9 @@ def test_answers_are_reported_in_the_bundle_s_own_units(tmp_path, capsys):
     other.save(str(tmp_path / "other.tauext"))
     save_recording(pushed(), tmp_path / "pushed.parquet")
     _, out, _ = run(capsys, tmp_path / "other.tauext", tmp_path / "pushed.parquet", "--flights", tmp_path / "flights")
-    assert " Nm" not in out and " A, collision limit" in out
+    assert " Nm" not in out and " A, collision threshold" in out
     (text,) = (path.read_text() for path in (tmp_path / "flights").glob("*.txt"))
-    assert " Nm" not in text and " A over its collision limit" in text
+    assert " Nm" not in text and " A over its collision threshold" in text
 
 
 def test_a_limit_that_moves_is_reported_with_the_standard_error(bundle, tmp_path, capsys):
@@ -610,7 +610,7 @@ def test_a_disk_error_is_reported_once_the_replay_goes_on_and_the_exit_code_is_2
     code, out, err = run(capsys, place / "watching.tauext", place / "pushed.parquet", *options)
     assert code == 2
     (line,) = err.splitlines()
-    assert line.startswith("tauext: error: 2 of 2 flights are lost: ") and "No space left on device" in line
+    assert line.startswith("tauext: error: 2 of 2 event logs are lost: ") and "No space left on device" in line
     assert "6,000" in out and "0 written" in out and "2 could not be written" in out
     assert list(folder.iterdir()) == []
 
@@ -666,7 +666,7 @@ WRONG = [
     (("watching.tauext", "pushed.parquet", "--speed", "2", "--real-time"), ["speed = 2.0", "--real-time"]),
     (("watching.tauext", "pushed.parquet", "--acknowledge-after-s", "0"), ["--acknowledge-after-s = 0.0 must be > 0"]),
     (("watching.tauext", "pushed.parquet", "--status-hz", "5"), ["--status-hz = 5.0", "--json"]),
-    (("watching.tauext", "pushed.parquet", "--flights", "file"), ["file: no folder for flights"]),
+    (("watching.tauext", "pushed.parquet", "--flights", "file"), ["file: no folder for event logs"]),
     (("watching.tauext", "pushed.parquet", "--flights", "f", "--before-s", "-1"), ["0 to 600 s"]),
 ]
 

@@ -150,7 +150,7 @@ def test_a_fault_of_no_joint_shows_the_one_nearest_to_its_limit(bundle, tmp_path
     path = write_flight(cut_flight(bundle, samples, 2900), tmp_path, FlightSource.of(bundle, samples))
     flight = load_flight(path)
     assert flight.event["joint"] is None and flight.recording.joints[flight.joint] == "elbow"
-    assert "nearest to its limit" in draw_close(flight).caption
+    assert "nearest to its threshold" in draw_close(flight).caption
     assert "Fault (time backwards)" in words_of(write_flight_report(path, tmp_path / "out").read_text())
 
 
@@ -247,7 +247,7 @@ def test_a_damaged_flight_is_in_the_index_with_its_reason(bundle, tmp_path, caps
     paths[0].write_bytes(paths[0].read_bytes()[:-40])
     assert run(capsys, "--flight", folder, "--out", tmp_path / "out", "--page-mb", 0)[0] == 0
     index = (tmp_path / "out" / "index.html").read_text()
-    assert "2 flights of &lt;b&gt;flights" in index and "<b>" not in index
+    assert "2 event logs of &lt;b&gt;flights" in index and "<b>" not in index
     assert index.count("<a href") == 1 and f"{paths[0].name}: " in index
     paths[1].write_bytes(b"")
     code, out, err = run(capsys, "--flight", folder, "--out", tmp_path / "none")
@@ -266,7 +266,7 @@ def test_a_damaged_flight_is_in_the_index_with_its_reason(bundle, tmp_path, caps
         (("--flight", "f", "--results", "r"), "not both"),
         (("--flight", "f", "--data", "d"), "not both"),
         (("--flight", "gone.parquet"), "there is no such recording"),
-        (("--flight", "."), "there are no flights in this folder"),
+        (("--flight", "."), "there are no event logs in this folder"),
     ],
 )
 def test_neither_both_or_no_flight_gets_one_line(tmp_path, capsys, monkeypatch, arguments, says):
@@ -278,7 +278,7 @@ def test_neither_both_or_no_flight_gets_one_line(tmp_path, capsys, monkeypatch, 
 
 def test_what_is_no_flight_or_whose_files_do_not_belong_together_is_refused(collision, tmp_path):
     save_recording(pushed(), tmp_path / "plain.parquet")
-    with pytest.raises(RecordingError, match="a recording, but no flight"):
+    with pytest.raises(RecordingError, match="a recording, but no event log"):
         write_flight_report(tmp_path / "plain.parquet", tmp_path / "out")
     flight = load_recording(collision)
     save_recording(flight, tmp_path / "alone.parquet")
@@ -286,7 +286,7 @@ def test_what_is_no_flight_or_whose_files_do_not_belong_together_is_refused(coll
         write_flight_report(tmp_path / "alone.parquet", tmp_path / "out")
     estimates = load_estimates(collision.with_name(f"{collision.stem}.estimates.parquet"))
     save_estimates(replace(estimates, t_ns=estimates.t_ns + 1), tmp_path / "alone.estimates.parquet")
-    with pytest.raises(RecordingError, match="it is of another flight"):
+    with pytest.raises(RecordingError, match="it is of another event log"):
         write_flight_report(tmp_path / "alone.parquet", tmp_path / "out")
     (tmp_path / "file").touch()
     with pytest.raises(ConfigError, match="is no folder; choose another place"):

@@ -226,7 +226,9 @@ def show(capsys, *arguments) -> tuple[int, str, str]:
 
 def test_show_force_tells_it_in_lines_and_as_json(kept, arm_bundle, capsys):
     code, out, _ = show(capsys, kept, "--force")
-    assert code == 0 and "ISO/TS 15066" in out and "load's frame tool" in out and "limit: contact while sliding" in out
+    assert (
+        code == 0 and "ISO/TS 15066" in out and "load's frame tool" in out and "threshold: contact while sliding" in out
+    )
     code, out, _ = show(capsys, kept, "--force", "--json", "--frame", "elbow")
     found = json.loads(out)
     assert found["poses"] == 3 and len(found["limits"]) == 4
@@ -259,7 +261,7 @@ def test_show_force_draws_a_picture(kept, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("{none}", "--force"), "what force is noticed is not known"),
+        (("{none}", "--force"), "the minimum detectable force is not known"),
         (("{old}", "--force"), "--data REC.parquet"),
         (("{damaged}", "--force"), "provenance is damaged"),
         (("{kept}", "--force", "--frame", "wrist"), "must be one of shoulder, elbow, tool"),
@@ -284,5 +286,5 @@ def test_what_tells_no_force_is_refused_in_one_line(arguments, words, kept, arm_
 
 def test_a_bundle_without_an_error_scale_is_refused(planar):
     planar.error_scale = _core.ErrorScaleSettings()
-    with pytest.raises(BundleError, match="planar: what force is noticed is not known"):
+    with pytest.raises(BundleError, match="planar: the minimum detectable force is not known"):
         points(planar)

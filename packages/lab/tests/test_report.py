@@ -750,7 +750,7 @@ def test_limits_that_move_are_drawn_as_they_held(moving):
     assert np.ptp(above.get_ydata() - uncertainty.get_ydata()) > 0.1
     assert "follows the motion" in drawing.caption and len(r.get_ydata()) == len(above.get_ydata())
     speeds = draw_error_over_speed(results, signals)
-    assert [text.get_text() for text in speeds.figure.legends[0].get_texts()][-1] == "limit, median at a speed"
+    assert [text.get_text() for text in speeds.figure.legends[0].get_texts()][-1] == "threshold, median at a speed"
     assert "Bands are one standard error" in draw_three_collisions(results, signals).caption
 
 

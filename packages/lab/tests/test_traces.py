@@ -325,5 +325,5 @@ def test_wrong_sizes_and_methods_get_one_line_before_anything_is_drawn(made, tmp
 
 
 def test_a_flight_has_one_method():
-    with pytest.raises(ConfigError, match="--trace-methods chooses among the methods of --results; a flight has one"):
+    with pytest.raises(ConfigError, match="chooses among the methods of --results; an event log has one"):
         report(out=Path("out"), flight=Path("f.parquet"), trace_methods=("exact",))

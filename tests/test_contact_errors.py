@@ -67,21 +67,4 @@ def test_the_truth_lies_within_two_standard_errors_of_a_pressed_joint(builds_up_
     error, found = np.abs(said["tau_ext"][rests, 0] - push[rests]), said["contact_sigma_nm"][rests, 0]
     assert rests.sum() > 0.7 * SAMPLES
     assert np.mean(error <= 2 * found) > 0.95 and np.mean(error <= 2 * SIGMA_N) < 0.7
-    # What positions show may slip under an uneven force: F / sqrt(3) at most.
-    assert (np.median(found) < 0.5 * FRICTION_N) == shows and np.median(found) < 1.3 * FRICTION_N
-
-
-def test_friction_that_slips_while_a_joint_rests_lies_within_two_standard_errors():
-    """A slide stops with its friction behind it, is pressed, and its bristles straighten although it does not move."""
-    seconds = np.arange(SAMPLES) * 1e-3
-    q = 5e-3 * np.minimum(seconds / 3.0, 1.0)
-    friction = FRICTION_N * np.exp(-np.maximum(seconds - 4.0, 0.0) / 1.0)
-    push = np.where(seconds > 3.5, 2.5, 0.0)
-    tau, dq = friction - push, np.gradient(q, 1e-3)
-    q += np.random.default_rng(0).normal(0, 1e-7, SAMPLES)  # an encoder without noise is a fault
-    signals = replace(recording(samples=SAMPLES), q=q[:, None], dq=dq[:, None], tau=tau[:, None]).signals
-    said = _core.estimate(bundle_of(6e-4), *signals, 1)
-    pressed = seconds > 6.0
-    error, found = np.abs(said["tau_ext"][pressed, 0] - push[pressed]), said["contact_sigma_nm"][pressed, 0]
-    assert (said["near_stiction"][pressed, 0] == 1).all()
-    assert error.min() > 3 * SIGMA_N and (error <= 2 * found).all() and found.max() < FRICTION_N
+    assert (np.median(found) < 0.3 * FRICTION_N) == shows and np.median(found) < 1.3 * FRICTION_N

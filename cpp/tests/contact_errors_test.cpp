@@ -81,6 +81,18 @@ void a_joint_that_rests_through_a_contact_hides_what_its_positions_do_not_show_u
   CHECK(both.is(0, kUnseen[0] * uniform(6)) && both.is(1, kUnseen[1] * std::hypot(1.5, uniform(2))));
 }
 
+// An uneven force leaves anything between what the prior expects and 0 of the friction that positions show.
+void while_an_expected_contact_is_in_effect_the_friction_that_positions_show_may_slip() {
+  for (bool presses : {false, true}) {
+    Arm arm(true);
+    arm.expected[1] = -1.5;
+    const double tau[] = {0, 0}, seen = 1 - kUnseen[1] * kUnseen[1];
+    arm.errors.step(kMs, 3, true, tau, kSigma, arm.gap, {arm.expected, arm.drive}, arm.sigma, presses);
+    const double hidden = kUnseen[1] * std::hypot(1.5, uniform(2)), slipped = presses ? std::sqrt(seen) * uniform(1.5) : 0;
+    CHECK(arm.is(0, kUnseen[0] * uniform(6)) && arm.is(1, std::hypot(hidden, slipped)));
+  }
+}
+
 // A stuck joint's friction is anything that its static friction allows, whatever the prior expects and the gear carries.
 void the_truth_is_within_two_standard_errors_where_positions_show_nothing() {
   Bundle b = rubbing_arm(false);
@@ -223,6 +235,7 @@ void a_sample_without_a_torque_makes_no_rate() {
 int main() {
   free_motion_has_its_own_error_alone();
   a_joint_that_rests_through_a_contact_hides_what_its_positions_do_not_show_until_it_slides();
+  while_an_expected_contact_is_in_effect_the_friction_that_positions_show_may_slip();
   the_truth_is_within_two_standard_errors_where_positions_show_nothing();
   what_stops_soon_after_a_contact_rests_under_it();
   a_joint_at_rest_is_pressed_from_three_standard_errors_on_though_no_limit_is_exceeded();

@@ -51,7 +51,7 @@ void ContactErrors::find_hidden(std::uint32_t near_stiction, const Friction& fri
 
 void ContactErrors::step(std::int64_t t_ns, std::uint32_t near_stiction, bool touched, std::span<const double> tau_ext,
                          std::span<const double> sigma_nm, std::span<const double> memory_gap, const Friction& friction,
-                         std::span<double> into) noexcept {
+                         std::span<double> into, bool presses) noexcept {
   State& s = state_;
   const double dt = s.started ? elapsed_s(t_ns, s.t_ns) : 0.0;
   if (dt != s.step_s) {  // recomputed only if the step changed
@@ -70,7 +70,7 @@ void ContactErrors::step(std::int64_t t_ns, std::uint32_t near_stiction, bool to
     s.tau_ext[j] = tau_ext[at];
     if (std::fabs(tau_ext[at]) > kNoticed * sigma_nm[at]) s.pressed |= std::uint32_t{1} << j;
     const bool pressed = (s.pressed & near_stiction) >> j & 1;
-    const double of_rest = pressed ? hidden(at, friction) + slipped(at, friction) : 0.0;
+    const double of_rest = pressed ? hidden(at, friction) + (presses ? slipped(at, friction) : 0.0) : 0.0;
     const double unsure = pressed && !memory_gap.empty() ? unsure_nm_[j] * memory_gap[at] : 0.0;
     const double of_torque = s.touched * of_torque_[j] * tau_ext[at], lag = s.touched * s.rate[j] / gain_per_s_;
     into[at] = std::sqrt(sigma_nm[at] * sigma_nm[at] + of_rest + unsure * unsure + of_torque * of_torque + lag * lag);

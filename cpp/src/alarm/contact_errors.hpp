@@ -17,12 +17,12 @@ struct Bundle;
 // The friction of a stuck joint is anything within +-F_j: its friction at rest, and the share of the drive's torque by which gear
 // friction grows with the load. The prior expects p_j. Where positions show nothing of the friction, 2 sqrt(p^2 + F^2 / 3) >=
 // |p| + F covers every truth. unseen_j, the share that positions do not show, is the narrowest presliding width over the turning
-// travel, at most 1. An uneven force leaves anything between p and 0 of what they show, since bristles slip a little under any
-// force (LuGre); declared contacts are judged without this part. Local and nonlocal memory of the presliding friction P_j differ
-// by P_j gap_j (Presliding), of which the share unsure_j is in doubt. These terms count for a joint that rests since a contact,
-// or at rest exceeds kNoticed sigma, until it slides. Gear friction grows by the share rubbing_j of a load; constant_j is the
-// relative error of the torque constant (WrenchSettings). The last term is the lag of the observer, whose residual is 1/K0 late.
-// The last two terms count during the contact and fade with 1/K0.
+// travel, at most 1. While the arm presses for seconds, an uneven force leaves anything between p and 0 of what they show, since
+// bristles slip a little under any force (LuGre): the last part of hidden_j counts while an expected contact is in effect. Local
+// and nonlocal memory of the presliding friction P_j differ by P_j gap_j (Presliding), of which the share unsure_j is in doubt.
+// These terms count for a joint that rests since a contact, or at rest exceeds kNoticed sigma, until it slides. Gear friction
+// grows by the share rubbing_j of a load; constant_j is the relative error of the torque constant (WrenchSettings). The last term
+// is the lag of the observer, whose residual is 1/K0 late. The last two terms count during the contact and fade with 1/K0.
 //
 // The result is for reports only. Limits, drift trackers and weighing use sigma, which no torque can raise.
 class ContactErrors {
@@ -45,11 +45,11 @@ class ContactErrors {
 
   // Finds what joints near stiction hide at this sample, for brought(); step() finds it where it counts.
   void find_hidden(std::uint32_t near_stiction, const Friction& friction) noexcept;
-  // touched: some joint is over its contact limit at this sample. near_stiction: a bit a joint. tau_ext, sigma_nm, memory_gap:
+  // touched: some joint is over its contact limit at this sample. presses: an expected contact is in effect. near_stiction: a bit a joint. tau_ext, sigma_nm, memory_gap:
   // of this sample, the last one empty where there is none. into: the standard error, NaN where sigma_nm is.
   void step(std::int64_t t_ns, std::uint32_t near_stiction, bool touched, std::span<const double> tau_ext,
             std::span<const double> sigma_nm, std::span<const double> memory_gap, const Friction& friction,
-            std::span<double> into) noexcept;
+            std::span<double> into, bool presses = false) noexcept;
   // Variance that a torque on a joint brings, [N m]^2: friction that it may hide if it rests (after find_hidden() at this sample),
   // and errors in proportion.
   double brought(int joint, bool rests, double torque_nm) const noexcept {

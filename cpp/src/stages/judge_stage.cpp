@@ -229,9 +229,10 @@ void JudgeStage::judge(const Observed& o, const Sample& sample, std::span<const 
     e.detection = alarm_.step(o.t_ns, e.tau_ext, e.limit_scale, raised, e.near_stiction, o.judged, e.limit_nm,
                               e.contact_limit_nm);
   if (o.judged && scale_.on()) {
-    const bool touched = pressed || (declares && contacts->in_effect()) || alarm_.state().held_alarm != Alarm::none || e.detection;
+    const bool presses = declares && contacts->in_effect();
+    const bool touched = pressed || presses || alarm_.state().held_alarm != Alarm::none || e.detection;
     contact_errors_.step(o.t_ns, e.near_stiction, touched, first_joints(e.tau_ext), first_joints(e.sigma_nm), o.memory_gap,
-                         {o.coulomb, sample.tau}, first_joints(e.contact_sigma_nm));
+                         {o.coulomb, sample.tau}, first_joints(e.contact_sigma_nm), presses);
   } else {
     std::copy_n(e.sigma_nm.begin(), e.joints, e.contact_sigma_nm.begin());
     contact_errors_.skip();

@@ -75,7 +75,7 @@ class Like(Start):
         regressors = Regressors(self.prior.own, corrected=bent.tree)
         found = gather(bent, recordings, regressors)
         period_s = 1e-9 * setup.observer.sample_period_ns * setup.observer.network_stride
-        regression = MapRegression([whole for whole, _, _ in found], self.prior.weights, period_s)
+        regression = MapRegression([problem for problem, _ in found], self.prior.weights, period_s)
         fit = solved(bent, regression, found, regressors)
         for settings in (fit.settings, *(one.settings for one in fit.left_out)):
             settings.branches = branches_of(settings)

@@ -196,7 +196,7 @@ def evidence_of(
     setup, recordings = with_presliding(observe(run), widths_rad), run.motion.uncut
     regressors = Regressors(terms, corrected=setup.tree)
     found = gather(setup, recordings, regressors)
-    equations = [whole for whole, _, _ in found]
+    equations = [one for one, _ in found]
     regression = Regression(equations)
     fit = solved(setup, regression, found, regressors)
     weights = regression.solve(regression.whole, fit.ridge)
@@ -205,11 +205,11 @@ def evidence_of(
         name=own.arm.name,
         minutes=total_s(recordings) / 60,
         whole=sum(equations[1:], start=equations[0]),
-        minute=[whole for whole, _, _ in minute],
+        minute=[one for one, _ in minute],
         error_nm=fit.error_nm,
         memory_s=error_memory_s(setup, recordings, fit.settings),
         period_s=1e-9 * setup.observer.sample_period_ns * setup.observer.network_stride,
-        factors=recording_factors(equations, [recording for _, _, (recording, _) in found], weights, terms),
+        factors=recording_factors(equations, [recording for _, (recording, _) in found], weights, terms),
     )
 
 

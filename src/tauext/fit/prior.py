@@ -441,7 +441,7 @@ def find_inertia(
         return Inertia(), basis
     own = [own_terms(setup, config, joint) for joint in range(setup.tree.size)]
     joints = tuple(link.joint_name for link in setup.tree.links)
-    rms = np.maximum(basis.regression.target_rms, np.sqrt(LEAST_SQUARE))
+    rms = np.sqrt(np.maximum(basis.regression.whole.energy / basis.regression.whole.rows, LEAST_SQUARE))
 
     def error(fit: PriorFit) -> float:
         return float(np.sqrt(np.mean((fit.error_nm / rms) ** 2)))

@@ -101,11 +101,6 @@ class NormalEquations:
         moment = [a + b for a, b in zip(self.moment, other.moment, strict=True)]
         return NormalEquations(self.columns, gram, moment, self.energy + other.energy, self.rows + other.rows)
 
-    def times(self, factor: float) -> NormalEquations:
-        """Equations whose rows count this much."""
-        gram, moment = ([factor * values for values in of] for of in (self.gram, self.moment))
-        return NormalEquations(self.columns, gram, moment, factor * self.energy, factor * self.rows)
-
     def squares(self, solution: np.ndarray) -> np.ndarray:
         """Residual sum of squares of a solution, (n,)."""
         left = self.energy.copy()
@@ -123,16 +118,11 @@ class Regression:
 
     Args:
         equations: of each stretch, at least one; every FOLDS-th makes a fold of the cross-validation.
-        judged: of the same stretches, for their errors where they are left out; None: equations.
     """
 
-    def __init__(self, equations: Sequence[NormalEquations], judged: Sequence[NormalEquations] | None = None) -> None:
-        self.folds, self._judged = (
-            [sum(of[k::FOLDS][1:], start=of[k]) for k in range(min(FOLDS, len(of)))]
-            for of in (equations, judged or equations)
-        )
+    def __init__(self, equations: Sequence[NormalEquations]) -> None:
+        self.folds = [sum(equations[k::FOLDS][1:], start=equations[k]) for k in range(min(FOLDS, len(equations)))]
         self.whole = sum(self.folds[1:], start=self.folds[0])
-        self.target_rms = np.sqrt(sum(fold.energy for fold in self._judged) / sum(fold.rows for fold in self._judged))
         self._weight = 1 / np.maximum(self.whole.energy / self.whole.rows, LEAST_SQUARE)
         width = 1 + max(int(at.max(initial=-1)) for at in self.whole.columns)
         mean = np.zeros(width)
@@ -221,9 +211,9 @@ class Regression:
 
     def _left_out(self, ridge: float) -> np.ndarray:
         total = np.zeros(len(self.whole.energy))
-        for k, fold in enumerate(self._judged):
+        for k, fold in enumerate(self.folds):
             total += fold.squares(self.solve(self.without(k), ridge))
-        return np.maximum(total / sum(fold.rows for fold in self._judged), 0.0)
+        return np.maximum(total / self.whole.rows, 0.0)
 
 
 def coupled(columns: Sequence[np.ndarray]) -> list[list[int]]:

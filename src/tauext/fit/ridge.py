@@ -60,9 +60,9 @@ def fit_ridge(
 
     w_i: weights of joint i's own friction terms; theta: corrections of the model, common to all joints (without a
     model: gravity and inertia terms, one set of weights a joint). With a model, a sample of a joint at rest counts
-    RESTING_WEIGHT in these sums, and fully in the cross-validation over recordings that chooses lambda. Columns are
-    scaled to unit RMS, s_i is the RMS of r_i. A coefficient's standard error comes from leaving out one part of the
-    recordings after the other (jackknife).
+    RESTING_WEIGHT in every sum, cross-validation included. Columns are scaled to unit RMS, s_i is the RMS of r_i.
+    lambda is chosen by cross-validation over recordings. A coefficient's standard error comes from leaving out one
+    part of the recordings after the other (jackknife).
 
     Args:
         local_memory_nm: the presliding friction of each joint, (n,), which bounds the part of it that has local memory.
@@ -70,27 +70,30 @@ def fit_ridge(
     Raises:
         TrainingError: no recording is longer than the observer's warm-up.
     """
-    found = gather(setup, recordings, regressors)
-    whole = [one for one, _, _ in found]
-    weighted = [one + rest.times(RESTING_WEIGHT - 1) for one, rest, _ in found] if has_model(setup) else whole
-    regression = Regression(weighted, whole)
+    found = gather(setup, recordings, regressors, resting=RESTING_WEIGHT if has_model(setup) else 1.0)
+    regression = Regression([problem for problem, _ in found])
     for m, term in enumerate(term for group in regressors.own for term in group):
         if term.kind == _core.TermKind.local_memory:  # r shows minus the friction
             regression.bound(np.array([m]), np.array([-local_memory_nm[term.a]]), np.array([0.0]))
     return solved(setup, regression, found, regressors)
 
 
-Found = tuple[NormalEquations, NormalEquations, tuple[Recording, slice]]
-"""The equations of a piece of a recording, those of each joint's samples at rest alone, and where the piece lies."""
+Found = tuple[NormalEquations, tuple[Recording, slice]]
+"""The equations of a piece of a recording, and where it lies."""
 
 
 def gather(
-    setup: Setup, recordings: Sequence[Recording], regressors: Regressors, pieces: int | None = None
+    setup: Setup,
+    recordings: Sequence[Recording],
+    regressors: Regressors,
+    pieces: int | None = None,
+    resting: float = 1.0,
 ) -> list[Found]:
     """The equations of all recordings that are longer than the warm-up; see fit_ridge.
 
     Args:
         pieces: of each recording; None: enough to leave parts out.
+        resting: weight of a sample of a joint at rest.
 
     Raises:
         TrainingError: no recording is longer than the observer's warm-up.
@@ -99,11 +102,11 @@ def gather(
     count = pieces or (FOLDS if len(usable) < FOLDS else 1)
     chosen = usable or recordings
     with ThreadPoolExecutor(min(setup.threads, 4)) as pool:
-        each = pool.map(lambda one: _problems(setup, one, regressors, count), chosen)
+        each = pool.map(lambda one: _problems(setup, one, regressors, count, resting), chosen)
         found = [
-            (whole, resting, (recording, span))
+            (problem, (recording, span))
             for recording, problems in zip(chosen, each, strict=True)
-            for whole, resting, span in problems
+            for problem, span in problems
         ]
     if not found:
         raise TrainingError(f"no training recording is longer than the observer's warm-up of {setup.warm_up_s:g} s")
@@ -124,7 +127,7 @@ def solved(setup: Setup, regression: Regression, found: Sequence[Found], regress
     left_out = []
     for k in range(len(regression.folds) if len(regression.folds) > 1 else 0):
         one = solve_possible(regression.copy(), regression.without(k), ridge, corrected)
-        where = [where for _, _, where in found[k::FOLDS]]
+        where = [where for _, where in found[k::FOLDS]]
         left_out.append(LeftOut(_settings(setup, regressors, one), where))
     settings = _settings(setup, regressors, solution)
     weights, errors, shares = (_by_joint(setup, regressors, values) for values in (solution, spread, determined))
@@ -139,9 +142,9 @@ def solved(setup: Setup, regression: Regression, found: Sequence[Found], regress
 
 
 def _problems(
-    setup: Setup, recording: Recording, regressors: Regressors, pieces: int
-) -> list[tuple[NormalEquations, NormalEquations, slice]]:
-    """The equations of each piece of a recording, those of each joint's samples at rest alone, and its samples."""
+    setup: Setup, recording: Recording, regressors: Regressors, pieces: int, resting: float
+) -> list[tuple[NormalEquations, slice]]:
+    """The equations of each piece of a recording, and its samples."""
     n, own, shared, corrected = setup.tree.size, regressors.own, regressors.shared, regressors.corrected
     observation, rows = setup.observe(recording)
     if len(rows) < 10:
@@ -163,55 +166,44 @@ def _problems(
         np.r_[at, ends[-1] + i * len(shared) + np.arange(len(shared)), width - corrections : width]
         for i, at in enumerate(mine)
     )
-    target, at_rest = observation.residual[rows], np.abs(recording.dq[rows]) <= ArmSearch.moves_rad_s
+    target = observation.residual[rows]
     problems, done = [], 0
     for piece in np.array_split(np.arange(len(rows)), pieces):
         of_piece = slice(piece[0], piece[-1] + 1)
-        X, y, rests = values[of_piece], target[of_piece], at_rest[of_piece]
-        squares, moments = X.T @ X, X.T @ y  # of all terms at once: most of them are common to all joints
-        whole, resting = [], []
-        for i, at in enumerate(terms_of):
-            resting_terms = X[rests[:, i]][:, at]
-            whole.append((_padded(squares[np.ix_(at, at)], corrections), _padded(moments[at, i], corrections)))
-            resting.append(
-                (
-                    _padded(resting_terms.T @ resting_terms, corrections),
-                    _padded(resting_terms.T @ y[rests[:, i], i], corrections),
-                )
-            )
+        X, y = values[of_piece], target[of_piece]
+        weight = np.where(np.abs(recording.dq[rows[of_piece]]) > ArmSearch.moves_rad_s, 1.0, resting)
+        gram, moment = _weighted(X, y, weight, terms_of, corrections)
         for first in range(0, len(piece) if corrections else 0, BLOCK):
             block = slice(first, first + BLOCK)
-            rows_at = rows[of_piece][block]
-            part, done = slice(done, int(rows_at[-1]) + 1), int(rows_at[-1]) + 1
-            Z = model.rows(recording.t_ns[part], recording.q[part], recording.dq[part], rows_at - part.start)
-            for i, at in enumerate(terms_of):
-                rest, terms_here = rests[block, i], X[block, at]
-                _add_links(*whole[i], terms_here, Z[:, i], y[block, i])
-                _add_links(*resting[i], terms_here[rest], Z[rest, i], y[block, i][rest])
+            at = rows[of_piece][block]
+            part, done = slice(done, int(at[-1]) + 1), int(at[-1]) + 1
+            Z = model.rows(recording.t_ns[part], recording.q[part], recording.dq[part], at - part.start)
+            for i, own_at in enumerate(terms_of):
+                weighted = weight[block, i, None] * Z[:, i]
+                moment[i][len(own_at) :] += weighted.T @ y[block, i]
+                gram[i][: len(own_at), len(own_at) :] += X[block, own_at].T @ weighted
+                gram[i][len(own_at) :, len(own_at) :] += Z[:, i].T @ weighted
+        for of_joint, at in zip(gram, terms_of, strict=True):
+            of_joint[len(at) :, : len(at)] = of_joint[: len(at), len(at) :].T
         span = slice(int(rows[piece[0]]), int(rows[piece[-1]]) + 1)
-        of_whole = NormalEquations(columns, *_listed(whole), (y**2).sum(axis=0), np.full(n, len(piece)))
-        of_rest = NormalEquations(columns, *_listed(resting), (rests * y**2).sum(axis=0), rests.sum(axis=0))
-        problems.append((of_whole, of_rest, span))
+        problems.append((NormalEquations(columns, gram, moment, (weight * y**2).sum(axis=0), weight.sum(axis=0)), span))
     return problems
 
 
-def _padded(values: np.ndarray, more: int) -> np.ndarray:
-    """The values, and zeros for the corrections, which come in blocks."""
-    return np.pad(values, (0, more))
-
-
-def _add_links(gram: np.ndarray, moment: np.ndarray, X: np.ndarray, Z: np.ndarray, y: np.ndarray) -> None:
-    """Add rows of the links' regressors Z, beside the joint's terms X."""
-    terms = X.shape[1]
-    mixed = X.T @ Z
-    gram[:terms, terms:] += mixed
-    gram[terms:, :terms] += mixed.T
-    gram[terms:, terms:] += Z.T @ Z
-    moment[terms:] += Z.T @ y
-
-
-def _listed(sums: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    return [gram for gram, _ in sums], [moment for _, moment in sums]
+def _weighted(
+    X: np.ndarray, y: np.ndarray, weight: np.ndarray, terms_of: Sequence[np.ndarray], corrections: int
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Gram matrix and moment of each joint's terms, with zeros for the corrections, which come in blocks."""
+    gram, moment = [], []
+    if (weight == 1).all():
+        squares, moments = X.T @ X, X.T @ y  # of all terms at once: most of them are common to all joints
+        gram = [np.pad(squares[np.ix_(at, at)], (0, corrections)) for at in terms_of]
+        return gram, [np.pad(moments[at, i], (0, corrections)) for i, at in enumerate(terms_of)]
+    for i, at in enumerate(terms_of):
+        weighted = weight[:, i, None] * X[:, at]
+        gram.append(np.pad(X[:, at].T @ weighted, (0, corrections)))
+        moment.append(np.pad(weighted.T @ y[:, i], (0, corrections)))
+    return gram, moment
 
 
 def _by_joint(setup: Setup, regressors: Regressors, solution: np.ndarray) -> np.ndarray:

@@ -150,7 +150,8 @@ def audited(wheel: Path, tools: Path) -> None:
     modules = [name for name in names if name.endswith(".so")]
     if len(modules) != 1 or any(".libs/" in name for name in names):
         sys.exit(f"{wheel.name} must hold one module and no other library, not {modules}")
-    for needed in ("tauext/_core.pyi", "tauext/py.typed", "licenses/LICENSE", "licenses/THIRD_PARTY.md"):
+    licences = (f"licenses/{name}" for name in ("LICENSE", "NOTICES", "THIRD_PARTY.md"))
+    for needed in ("tauext/_core.pyi", "tauext/py.typed", *licences):
         if not any(name.endswith(needed) for name in names):
             sys.exit(f"{wheel.name} lacks {needed}")
     if "x86_64" in wheel.name and "%zmm" not in instructions(wheel, modules[0]):

@@ -45,6 +45,8 @@ CONTENTS = {
     },
 }
 """Pages below a page, by the captions of the menu; pages of a folder are in the order of their names."""
+TERM = re.compile(r"(?:^|(?<=, )|(?<=; ))([a-z][a-z-]*(?: [a-z-]+){0,3})(?=,|;| \(|$)")
+"""One term of a cell of the glossary, such as `trained detector` and `model file`."""
 HEADER = re.compile(r"\]\((?:\.\./)+cpp/include/tauext/(\w+)\.(hpp|h)\)")
 
 
@@ -60,7 +62,24 @@ def add_contents(app, name, source):
     for caption, pages in CONTENTS.get(name, {}).items():
         lines = [":hidden:", ":glob:", f":caption: {caption}" if caption else "", "", *pages.split()]
         source[0] += "\n```{toctree}\n" + "\n".join(lines) + "\n```\n"
+    if name == "words":
+        source[0] = searchable(source[0])
     source[0] = HEADER.sub(lambda to: f"](/reference/made/cpp/{to[1] if to[2] == 'hpp' else 'c'}.md)", source[0])
+
+
+def searchable(glossary):
+    """The glossary with index entries for its terms and their names in code: the search lists the glossary first."""
+    lines, columns = [], []
+    for line in glossary.splitlines():
+        cells = [cell.strip() for cell in re.split(r"(?<!\\)\|", line)]
+        if cells[1:2] == ["term"]:
+            columns = [1, cells.index("in code")]
+        elif line.startswith("| ") and columns:
+            for column in columns:
+                cells[column] = TERM.sub(r"{index}`!\1`", cells[column])
+            line = " | ".join(cells).strip()
+        lines.append(line)
+    return "\n".join(lines)
 
 
 def setup(app):

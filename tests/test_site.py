@@ -275,6 +275,16 @@ def test_a_page_has_nothing_that_only_sphinx_reads(page):
     assert re.findall(r"\{[\w:]+\}`.*|^(?:```|:::)\{.*|^\([\w-]+\)=$", page.read_text(), re.MULTILINE) == []
 
 
+def test_terms_of_the_glossary_and_their_names_in_code_are_entries_of_the_search():
+    page = (DOCS / "words.md").read_text()
+    entry = r"\{index\}`!([^`]+)`"
+    entries = set(re.findall(entry, conf.searchable(page)))
+    rows = re.findall(r"^\| ([a-z][^|]*) \|", page, re.MULTILINE)
+    assert {term for row in rows if row != "term" for term in row.split(", ")} <= entries
+    assert {"limit", "suspect", "bundle", "flight", "source", "evidence class", "blind"} <= entries
+    assert re.sub(entry, r"\1", conf.searchable(page)).split() == page.split()
+
+
 def test_every_page_is_in_the_contents():
     entries = [
         (name, entry) for name, menu in conf.CONTENTS.items() for part in menu.values() for entry in part.split()

@@ -21,7 +21,7 @@ from tauext.check.finding import Finding
 from tauext.check.joint_fit import rows_of
 from tauext.check.motion import stretches
 from tauext.check.robot_file import with_load
-from tauext.check.torque_changes import often_disturbed, step_findings
+from tauext.check.torque_changes import growth_findings, often_disturbed, step_findings
 from tauext.data.free_motion import cut
 from tauext.data.recording import Recording
 from tauext.robot.read import load_tree
@@ -265,3 +265,18 @@ def test_what_friction_holds_in_long_rests_makes_no_recording_odd(arm, with_mode
     assert not odd([first, second], robot)
     inverted = replace(second, tau=one(second, "tau", np.negative))
     assert [found.recording for found in odd([first, inverted], robot)] == [second.name]
+
+
+@pytest.mark.parametrize(("rests", "grown"), [(False, [J]), (True, [])])
+def test_what_friction_holds_in_long_rests_is_no_growth(longer, rests, grown):
+    """The offset grows all the time, or only while the joint rests: in two thirds of the time."""
+    _, tree, recordings = longer
+    x = Examination(recordings, tree=tree)
+    rows, off = x.rows, (x.rows.time_s // 3).astype(int) % 3 > 0
+    tau, dq = rows.tau.copy(), rows.dq.copy()
+    growth = 3 * tau[:, J].std() * (rows.time_s % 30.0) / 30.0
+    tau[:, J] += np.where(off | (not rests), growth, 0.0)
+    if rests:
+        dq[off, J] = 0.0
+    x.rows = replace(rows, tau=tau, dq=dq)
+    assert [x.joints.index(one.joint) for one in growth_findings(x)] == grown

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from tauext import _core
-from tauext.check.motion import FIT, RowFilter, Stretch
+from tauext.check.motion import FIT, MOVING_RAD_S, RowFilter, Stretch
 
 # --- Rows of a linear regression: a joint's torque and its possible parts, all through one zero-phase filter.
 
@@ -48,6 +48,13 @@ class FitRows:
     @property
     def model(self) -> np.ndarray:
         return self.gravity + self.inertial
+
+    def judged(self, joint: int) -> np.ndarray:
+        """(rows,) bool: rows in which the joint moves, if it rests in at least half of them; else all rows. In a rest,
+        friction holds an unknown part of gravity."""
+        speed = np.abs(self.dq[:, joint])
+        moves = speed > min(MOVING_RAD_S, 0.02 * float(speed.max()))
+        return moves if LEAST_MOVING <= moves.sum() < 0.5 * len(moves) else np.ones_like(moves)
 
     def columns(self, joint: int) -> np.ndarray:
         """Regressors (rows, 3 + FRICTION). Without a model, sines and cosines of the joints stand in for gravity."""
@@ -155,6 +162,7 @@ def delayed(x: np.ndarray, lag_s: float, rate_hz: float) -> np.ndarray:
 BLOCKS = 10  # number of blocks of time, left out in turn, since errors of neighbouring rows are correlated
 HUBER = 2.0  # rows with an error above twice the robust spread get less weight, so that a bump does not change a sign
 SEEN = 0.02  # A model torque is ignored if its spread is a smaller share of the measured torque's spread
+LEAST_MOVING = 250  # ten seconds: the rests of a joint that moves for less are used, too
 LEAST_ROWS = 100  # four seconds: fewer rows than that cannot be fitted
 
 

@@ -71,30 +71,28 @@ def half_seconds(rows: FitRows) -> tuple[np.ndarray, np.ndarray]:
 def growth_findings(x: Examination) -> Iterator[Finding]:
     """Findings of torques with an offset that grows steadily within the recordings.
 
-    The fit of motion and friction gets a term in time. Each recording has an offset of its own, so that motion which
+    The fit of motion and friction gets a term in time; the rests of a joint that mostly rests are left out, since
+    friction holds another part of the torque in each. Each recording has an offset of its own, so that motion which
     differs between recordings is no growth. Blocks of five seconds of the errors give the standard error: a program
     repeats its motion at such times. Without a model, motion resembles growth for a minute, so that the recordings, or
     thirds of the time, must agree as well.
     """
-    rows = x.rows
-    recording = np.unique(rows.recording, return_inverse=True)[1]
-    rows_of_each = np.bincount(recording)
-    lengths_s = [float(np.ptp(rows.time_s[recording == k])) for k in range(len(rows_of_each))]
-    block = np.unique(recording * 10**6 + (rows.time_s // 5.0).astype(int), return_inverse=True)[1]
-
-    def centred(signal: np.ndarray) -> np.ndarray:
-        return signal - (np.bincount(recording, signal) / rows_of_each)[recording]
-
-    if block.max() + 1 < 12:
-        return
-    part = recording if len(lengths_s) > 2 else block * 3 // int(block.max() + 1)
-    parts = int(part.max()) + 1
-    time_s = centred(rows.time_s)
-    starts, moves = half_seconds(rows)
     for j, fit in enumerate(x.fits):
-        columns = np.column_stack([centred(column) for column in rows.columns(j).T])
+        judged = x.rows.judged(j)
+        rows = x.rows.taken(judged)
+        recording = np.unique(rows.recording, return_inverse=True)[1]
+        rows_of_each = np.bincount(recording)
+        lengths_s = [float(np.ptp(rows.time_s[recording == k])) for k in range(len(rows_of_each))]
+        block = np.unique(recording * 10**6 + (rows.time_s // 5.0).astype(int), return_inverse=True)[1]
+        if block.max() + 1 < 12:
+            continue
+        part = recording if len(lengths_s) > 2 else block * 3 // int(block.max() + 1)
+        parts = int(part.max()) + 1
+        time_s = _centred(rows.time_s, recording)
+        starts, moves = half_seconds(rows)
+        columns = np.column_stack([_centred(column, recording) for column in rows.columns(j).T])
         columns[:, joint_fit.CONSTANT] = 1.0
-        torque = centred(rows.tau[:, j])
+        torque = _centred(rows.tau[:, j], recording)
         weights, trust = joint_fit.robust_solve(np.column_stack([columns, time_s]), torque)
         growth, error = float(weights[-1]), torque - columns @ weights[:-1] - weights[-1] * time_s
         root = np.sqrt(trust)
@@ -109,7 +107,8 @@ def growth_findings(x: Examination) -> Iterator[Finding]:
         # in the longest recording it must exceed the usual error, and in all a quarter of the explained torque's
         # spread: a gear that warms up, with a wrong model, reaches 0.06
         usual = float(np.median(np.maximum.reduceat(np.abs(error), starts)[moves.any(axis=1)]))
-        is_large = abs(growth) * max(lengths_s) > usual and abs(growth) * sum(lengths_s) > 0.25 * fit.predicted.std()
+        predicted_nm = float(fit.predicted[judged].std())
+        is_large = abs(growth) * max(lengths_s) > usual and abs(growth) * sum(lengths_s) > 0.25 * predicted_nm
         if is_large and abs(growth) > 6.0 * sigma:  # without a model, motion that changes with time reaches 4
             evidence = f"the torque's zero changes by {60 * growth:+.3g} ± {60 * sigma:.2g} {x.unit} a minute"
             advice = (
@@ -117,6 +116,11 @@ def growth_findings(x: Examination) -> Iterator[Finding]:
                 "or emptied while recording does the same"
             )
             yield Finding("torque-changes", "fault", x.joints[j], evidence, advice)
+
+
+def _centred(signal: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """The signal without the mean of each group of rows, (rows,)."""
+    return np.asarray(signal - (np.bincount(group, signal) / np.bincount(group))[group])
 
 
 def step_findings(x: Examination) -> Iterator[Finding]:

@@ -109,10 +109,11 @@ class Comparison:
 
     def corrected(self, k: int) -> Finding | None:
         """Finding of the correction that makes recording k agree with the others. Of an arm that rests, longer parts of
-        the recording are tried: any correction fits the few poses of half a minute."""
-        moves = (np.abs(self.parts[k].dq) > MOVING_RAD_S).any(axis=1).mean()
+        the recording are tried where there is no model: any correction fits the few poses of half a minute."""
+        known = self.parts[k].has_model
+        moves = 1.0 if known else (np.abs(self.parts[k].dq) > MOVING_RAD_S).any(axis=1).mean()
         few = corrections.search_stretches(self.stretches(k), SEARCH_S / max(0.1, moves))
-        suspect = self.suspect(self.pool.errors(self.parts[k]))
+        suspect = self.suspect(self.pool.errors(self.parts[k])) | known
         one = Suspect(joint_fit.rows_of(few, self.x.tree), few, self, suspect)
         correction = one.best_correction()
         if correction is None:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from made_arms import planar_arm, six_axis, urdf
 from made_recordings import Drive, made_motion
-from tauext._core import Tree
 
+from tauext._core import Tree
 from tauext.check import odd_torque
 from tauext.check.checks import CHECKS, SIGNALS, VELOCITIES, run
 from tauext.check.corrections import search_stretches

@@ -290,7 +290,7 @@ def test_joints_that_share_no_column_are_solved_apart_with_the_result_of_one_den
     for _ in range(5):
         X, y = [rng.normal(size=(40, len(at))) for at in columns], rng.normal(size=(40, 3))
         gram, moment = [x.T @ x for x in X], [x.T @ y[:, i] for i, x in enumerate(X)]
-        parts.append(NormalEquations(columns, gram, moment, (y**2).sum(axis=0), np.full(y.shape[1], 40)))
+        parts.append(NormalEquations(columns, gram, moment, (y**2).sum(axis=0), 40))
     regression = Regression(parts)
     regression.fix(3, 0.5)
     ridge = 0.1

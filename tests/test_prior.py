@@ -17,7 +17,6 @@ from tauext import _core
 from tauext.config import PriorConfig
 from tauext.data.recording import Recording
 from tauext.errors import TrainingError
-from tauext.fit import ridge
 from tauext.fit.prior import Inertia, find_ripple, fit_friction, fit_prior, fit_terms, play_sentence
 from tauext.fit.prior_terms import CORRECTED as BY_CORRECTED
 from tauext.fit.prior_terms import ESTIMATED as BY_ESTIMATED
@@ -358,36 +357,6 @@ def test_known_friction_is_recovered_within_its_standard_errors_and_what_is_left
     np.testing.assert_allclose(fit.error_nm, rmse, rtol=0.06)
 
 
-def stopping(seed: int, rest_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Half a minute of motion that slows down within its last second, and a rest."""
-    q, dq = motion(seed, 30.0)
-    slower = np.ones(len(q))
-    slower[-100:] = np.cos(np.linspace(0, np.pi / 2, 100)) ** 2
-    dq = dq * slower[:, None]
-    q = q[0] + np.cumsum(dq, axis=0) / RATE_HZ
-    return np.pad(q, ((0, round(100 * rest_s)), (0, 0)), "edge"), np.pad(dq, ((0, round(100 * rest_s)), (0, 0)))
-
-
-def test_long_rests_whose_friction_holds_gravity_bend_the_fit_little(monkeypatch):
-    rng, made = np.random.default_rng(5), []
-    for seed in range(6):
-        held = rng.uniform(-1, 1, 2) * FRICTION["coulomb"]
-
-        def friction(q, dq, beta, held=held):
-            return np.where(dq == 0, held, unloaded(q, dq, beta))
-
-        made.append(record(planar_arm(), stopping(seed, 120.0), friction, NOISE_NM, seed))
-    setup, added = setup_of(planar_arm()), []
-    unseen = recordings(unloaded, first_seed=50)
-    for weight in (ridge.RESTING_WEIGHT, 1.0):
-        monkeypatch.setattr(ridge, "RESTING_WEIGHT", weight)
-        fit = fit_prior(setup, made, CORRECTED)
-        left = np.vstack([remaining(setup, fit, one) for one in unseen])
-        added.append(np.mean(left**2, axis=0) - FILTERED_NOISE_NM**2)
-    # The rests are four fifths of the samples: a tenth of their weight leaves them two sevenths of it.
-    assert (added[0] < 0.5 * added[1]).all(), added
-
-
 def test_held_torques_at_1_khz_tell_the_same_friction():
     def simple(q, dq, beta):
         return FRICTION["viscous"] * dq + FRICTION["coulomb"] * np.tanh(dq / 0.05)
@@ -678,7 +647,7 @@ def test_free_motion_shows_which_friction_has_local_memory(local):
     # The branch is that of a fit with nonlocal memory alone: not quite the true one where half of all reversals are.
     for j, share in enumerate(local):
         assert found.get(j, 0.0) / [-6.0, -3.0][j] == pytest.approx(share, abs=0.35)
-        assert fit.error_nm[j] < (0.65 if share else 1.01) * bank.error_nm[j]
+        assert fit.error_nm[j] < (0.6 if share else 1.01) * bank.error_nm[j]
 
 
 def test_a_width_that_friction_knows_nothing_of_is_left_out_and_one_that_it_needs_is_kept():

@@ -111,7 +111,7 @@ def corrections_problem(column: int, value: float) -> Regression:
         X = [rng.normal(size=(50, len(truth))) for _ in range(n)]
         y = np.stack([x @ truth + 1e-3 * rng.normal(size=50) for x in X], axis=1)
         gram, moment = [x.T @ x for x in X], [x.T @ y[:, i] for i, x in enumerate(X)]
-        equations.append(NormalEquations(columns, gram, moment, (y**2).sum(axis=0), np.full(y.shape[1], 50)))
+        equations.append(NormalEquations(columns, gram, moment, (y**2).sum(axis=0), 50))
     return Regression(equations)
 
 

@@ -107,7 +107,7 @@ def test_of_ridges_that_the_data_cannot_tell_apart_the_strongest_is_taken():
     for fold in range(5):
         off = 1e-3 * np.array([np.cos(fold), np.sin(fold)])  # what chance makes of a fold's moment
         moment = rows * (weights + off)
-        pieces.append(NormalEquations(columns, [rows * np.eye(2)], [moment], np.array([rows * 14.0]), np.array([rows])))
+        pieces.append(NormalEquations(columns, [rows * np.eye(2)], [moment], np.array([rows * 14.0]), rows))
     ridge, error = Regression(pieces).choose_ridge()
     # A ridge leaves (ridge |w|)^2 more, of a variance of 14 - 13: 1e-6 of it at a ridge of 0.00028.
     assert ridge == RIDGES[RIDGES < 0.00028].max()

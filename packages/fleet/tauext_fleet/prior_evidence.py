@@ -159,7 +159,7 @@ class ArmEvidence:
             count = independent[j] / self.error_nm[j] ** 2
             gram[np.ix_(at, at)] += count * self.whole.gram[j]
             moment[at] += count * self.whole.moment[j]
-        return Evidence(gram, moment, float((independent * self.whole.rows).max()))
+        return Evidence(gram, moment, float(independent.max()) * self.whole.rows)
 
 
 def error_memory_s(

@@ -35,7 +35,7 @@ def equations(made, pieces: int = 5) -> list[NormalEquations]:
             [X.T @ X for X, _ in piece],
             [X.T @ y for X, y in piece],
             np.array([y @ y for _, y in piece]),
-            np.array([len(y) for _, y in piece]),
+            len(piece[0][1]),
         )
         for piece in zip(*cut, strict=True)
     ]

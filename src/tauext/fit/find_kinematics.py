@@ -162,7 +162,7 @@ class KinematicSample:
                 gram.append(X.T @ X)
                 moment.append(X.T @ self.target[fold, joint])
             energy = (self.target[fold] ** 2).sum(axis=0)
-            equations.append(NormalEquations(columns, gram, moment, energy, np.full(self.joints, len(fold))))
+            equations.append(NormalEquations(columns, gram, moment, energy, len(fold)))
         return Regression(equations)
 
 

@@ -41,7 +41,7 @@ class PriorFit:
 
     settings: _core.PriorSettings
     ridge: float
-    error_nm: np.ndarray  # (n,) RMSE on recordings left out of the fit, weighted as in it
+    error_nm: np.ndarray  # (n,) RMSE on recordings left out of the fit
     weights: np.ndarray  # (n, terms)
     standard_errors: np.ndarray  # (n, terms), over recordings
     determined: np.ndarray  # (n, terms): 1: by the data alone, 0: by the ridge alone

@@ -94,7 +94,7 @@ class NormalEquations:
     """(columns of the joint, the same) each."""
     moment: list[np.ndarray]
     energy: np.ndarray  # (n,) sum of squares of each joint's target
-    rows: np.ndarray  # (n,) sum of the weights of each joint's rows
+    rows: int
 
     def __add__(self, other: NormalEquations) -> NormalEquations:
         gram = [a + b for a, b in zip(self.gram, other.gram, strict=True)]
@@ -126,9 +126,8 @@ class Regression:
         self._weight = 1 / np.maximum(self.whole.energy / self.whole.rows, LEAST_SQUARE)
         width = 1 + max(int(at.max(initial=-1)) for at in self.whole.columns)
         mean = np.zeros(width)
-        weights = self._weight / self.whole.rows
-        for at, gram, weight in zip(self.whole.columns, self.whole.gram, weights, strict=True):
-            mean[at] += weight * np.diag(gram)
+        for at, gram, weight in zip(self.whole.columns, self.whole.gram, self._weight, strict=True):
+            mean[at] += weight * np.diag(gram) / self.whole.rows
         self._scale = np.sqrt(np.maximum(mean, 0.0))
         self.used = self._scale > 1e-9  # a smaller regressor was not excited
         self._fixed = np.zeros(width)
@@ -156,7 +155,7 @@ class Regression:
         solution = self._fixed.copy()
         for joints in self._groups:
             columns, gram, moment = self._scaled(equations, joints)
-            floor, scale = ridge * equations.rows[joints].mean() * np.eye(len(gram)), self._scale[columns]
+            floor, scale = ridge * equations.rows * np.eye(len(gram)), self._scale[columns]
             low, high = self.low[columns], self.high[columns]
             found = solve_within(gram + floor, moment, low * scale, high * scale) / scale
             solution[columns] = np.clip(found, low, high)  # scaling back may round beyond
@@ -183,10 +182,9 @@ class Regression:
 
     def determined(self, ridge: float) -> np.ndarray:
         """1 where the data alone determine a coefficient, 0 where the ridge alone does, (columns,)."""
-        shares = np.zeros(len(self._scale))
+        shares, floor = np.zeros(len(self._scale)), ridge * self.whole.rows
         for joints in self._groups:
             columns, gram, _ = self._scaled(self.whole, joints)
-            floor = ridge * self.whole.rows[joints].mean()
             shares[columns] = 1 - floor * np.diag(np.linalg.inv(gram + floor * np.eye(len(gram))))
         return shares
 

@@ -11,9 +11,8 @@ import numpy as np
 from tauext import _core
 from tauext.data.recording import Recording
 from tauext.errors import TrainingError
-from tauext.fit.find_kinematics import ArmSearch
 from tauext.fit.links import bound_links, fix_impossible, solve_possible
-from tauext.fit.prior_terms import LeftOut, PriorFit, has_model
+from tauext.fit.prior_terms import LeftOut, PriorFit
 from tauext.fit.regression import FOLDS, NormalEquations, Regression
 from tauext.fit.training_set import Setup
 from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial_parameters
@@ -23,11 +22,6 @@ from tauext.robot.inertial import PARAMETERS, inertial_parameters, with_inertial
 
 BLOCK = 2048
 """Rows of the links' regressors held at a time: those of a whole recording take hundreds of MB."""
-
-RESTING_WEIGHT = 0.1
-"""Weight of a sample in which the joint does not exceed ArmSearch.moves_rad_s. Static friction holds any part of the
-load, for as long as the rest lasts: a rest's samples repeat one error, whose share in the fit grew with its length.
-Without a model they count fully: gravity itself is to be found, and a servo's play shows at rest."""
 
 
 @dataclass(frozen=True)
@@ -59,10 +53,9 @@ def fit_ridge(
         minimise  sum_i |r_i - X_i w_i - Z_i theta|^2 / s_i^2 + lambda rows |(w, theta) scaled|^2
 
     w_i: weights of joint i's own friction terms; theta: corrections of the model, common to all joints (without a
-    model: gravity and inertia terms, one set of weights a joint). With a model, a sample of a joint at rest counts
-    RESTING_WEIGHT in every sum, cross-validation included. Columns are scaled to unit RMS, s_i is the RMS of r_i.
-    lambda is chosen by cross-validation over recordings. A coefficient's standard error comes from leaving out one
-    part of the recordings after the other (jackknife).
+    model: gravity and inertia terms, one set of weights a joint). Columns are scaled to unit RMS, s_i is the RMS of
+    r_i. lambda is chosen by cross-validation over recordings. A coefficient's standard error comes from leaving
+    out one part of the recordings after the other (jackknife).
 
     Args:
         local_memory_nm: the presliding friction of each joint, (n,), which bounds the part of it that has local memory.
@@ -70,7 +63,7 @@ def fit_ridge(
     Raises:
         TrainingError: no recording is longer than the observer's warm-up.
     """
-    found = gather(setup, recordings, regressors, resting=RESTING_WEIGHT if has_model(setup) else 1.0)
+    found = gather(setup, recordings, regressors)
     regression = Regression([problem for problem, _ in found])
     for m, term in enumerate(term for group in regressors.own for term in group):
         if term.kind == _core.TermKind.local_memory:  # r shows minus the friction
@@ -83,17 +76,12 @@ Found = tuple[NormalEquations, tuple[Recording, slice]]
 
 
 def gather(
-    setup: Setup,
-    recordings: Sequence[Recording],
-    regressors: Regressors,
-    pieces: int | None = None,
-    resting: float = 1.0,
+    setup: Setup, recordings: Sequence[Recording], regressors: Regressors, pieces: int | None = None
 ) -> list[Found]:
     """The equations of all recordings that are longer than the warm-up; see fit_ridge.
 
     Args:
         pieces: of each recording; None: enough to leave parts out.
-        resting: weight of a sample of a joint at rest.
 
     Raises:
         TrainingError: no recording is longer than the observer's warm-up.
@@ -102,7 +90,7 @@ def gather(
     count = pieces or (FOLDS if len(usable) < FOLDS else 1)
     chosen = usable or recordings
     with ThreadPoolExecutor(min(setup.threads, 4)) as pool:
-        each = pool.map(lambda one: _problems(setup, one, regressors, count, resting), chosen)
+        each = pool.map(lambda one: _problems(setup, one, regressors, count), chosen)
         found = [
             (problem, (recording, span))
             for recording, problems in zip(chosen, each, strict=True)
@@ -142,7 +130,7 @@ def solved(setup: Setup, regression: Regression, found: Sequence[Found], regress
 
 
 def _problems(
-    setup: Setup, recording: Recording, regressors: Regressors, pieces: int, resting: float
+    setup: Setup, recording: Recording, regressors: Regressors, pieces: int
 ) -> list[tuple[NormalEquations, slice]]:
     """The equations of each piece of a recording, and its samples."""
     n, own, shared, corrected = setup.tree.size, regressors.own, regressors.shared, regressors.corrected
@@ -171,39 +159,24 @@ def _problems(
     for piece in np.array_split(np.arange(len(rows)), pieces):
         of_piece = slice(piece[0], piece[-1] + 1)
         X, y = values[of_piece], target[of_piece]
-        weight = np.where(np.abs(recording.dq[rows[of_piece]]) > ArmSearch.moves_rad_s, 1.0, resting)
-        gram, moment = _weighted(X, y, weight, terms_of, corrections)
+        squares, moments = X.T @ X, X.T @ y  # of all terms at once: most of them are common to all joints
+        gram = [np.zeros((len(at) + corrections,) * 2) for at in terms_of]
+        moment = [np.r_[moments[at, i], np.zeros(corrections)] for i, at in enumerate(terms_of)]
         for first in range(0, len(piece) if corrections else 0, BLOCK):
             block = slice(first, first + BLOCK)
             at = rows[of_piece][block]
             part, done = slice(done, int(at[-1]) + 1), int(at[-1]) + 1
             Z = model.rows(recording.t_ns[part], recording.q[part], recording.dq[part], at - part.start)
             for i, own_at in enumerate(terms_of):
-                weighted = weight[block, i, None] * Z[:, i]
-                moment[i][len(own_at) :] += weighted.T @ y[block, i]
-                gram[i][: len(own_at), len(own_at) :] += X[block, own_at].T @ weighted
-                gram[i][len(own_at) :, len(own_at) :] += Z[:, i].T @ weighted
+                moment[i][len(own_at) :] += Z[:, i].T @ y[block, i]
+                gram[i][: len(own_at), len(own_at) :] += X[block, own_at].T @ Z[:, i]
+                gram[i][len(own_at) :, len(own_at) :] += Z[:, i].T @ Z[:, i]
         for of_joint, at in zip(gram, terms_of, strict=True):
+            of_joint[: len(at), : len(at)] = squares[np.ix_(at, at)]
             of_joint[len(at) :, : len(at)] = of_joint[: len(at), len(at) :].T
         span = slice(int(rows[piece[0]]), int(rows[piece[-1]]) + 1)
-        problems.append((NormalEquations(columns, gram, moment, (weight * y**2).sum(axis=0), weight.sum(axis=0)), span))
+        problems.append((NormalEquations(columns, gram, moment, (y**2).sum(axis=0), len(piece)), span))
     return problems
-
-
-def _weighted(
-    X: np.ndarray, y: np.ndarray, weight: np.ndarray, terms_of: Sequence[np.ndarray], corrections: int
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Gram matrix and moment of each joint's terms, with zeros for the corrections, which come in blocks."""
-    gram, moment = [], []
-    if (weight == 1).all():
-        squares, moments = X.T @ X, X.T @ y  # of all terms at once: most of them are common to all joints
-        gram = [np.pad(squares[np.ix_(at, at)], (0, corrections)) for at in terms_of]
-        return gram, [np.pad(moments[at, i], (0, corrections)) for i, at in enumerate(terms_of)]
-    for i, at in enumerate(terms_of):
-        weighted = weight[:, i, None] * X[:, at]
-        gram.append(np.pad(X[:, at].T @ weighted, (0, corrections)))
-        moment.append(np.pad(weighted.T @ y[:, i], (0, corrections)))
-    return gram, moment
 
 
 def _by_joint(setup: Setup, regressors: Regressors, solution: np.ndarray) -> np.ndarray:

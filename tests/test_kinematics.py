@@ -157,7 +157,7 @@ def test_an_arm_is_found_in_a_minute_of_its_motion(gravity):
     assert [fact["angle_deg"] for fact in facts[1:]] == [90, pytest.approx(0, abs=1e-3), 90]
     assert facts[2]["distance_m"] == pytest.approx(UPPER_M, abs=0.02)  # 5 %: friction is fitted beside it
     assert facts[3]["distance_m"] == pytest.approx(LOWER_M, abs=0.06)  # of a light wrist: seeds scatter by 0.03
-    assert len(said) == 4 and "arm found" in said[-1]
+    assert len(said) == 7 and "arm found" in said[-1]  # three lines of motion, and of motion with its rests
     assert not fit.corrections.size or basis.kinematics is None
     torque = np.sqrt(np.mean(np.concatenate([r.tau for r in far]) ** 2, axis=0))
     ours, theirs = left_nm(setup, fit, far), left_nm(setup, basis, far)

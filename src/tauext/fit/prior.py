@@ -447,7 +447,8 @@ def find_inertia(
         return float(np.sqrt(np.mean((fit.error_nm / rms) ** 2)))
 
     def with_arm_of(sample: KinematicSample) -> tuple[Inertia, PriorFit]:
-        kinematics = find_kinematics(sample, report, start=known).kinematics
+        said = (lambda line: report(f"with rests, {line}")) if sample.config.rests else report
+        kinematics = find_kinematics(sample, said, start=known).kinematics
         inertia = Inertia(kinematics.tree(joints, setup.tree.gravity), kinematics=kinematics)
         fit = fit_terms(setup, recordings, config, nothing, inertia)
         inertia = replace(inertia, load=CORRECTED, loads=tuple(fit.settings.corrected_links))

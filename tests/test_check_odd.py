@@ -10,7 +10,6 @@ import pytest
 from made_arms import planar_arm, six_axis, urdf
 from made_recordings import Drive, made_motion
 
-from tauext._core import Tree
 from tauext.check import odd_torque
 from tauext.check.checks import CHECKS, SIGNALS, VELOCITIES, run
 from tauext.check.corrections import search_stretches
@@ -242,26 +241,6 @@ def test_what_friction_holds_while_a_joint_rests_is_no_step_of_its_torque(longer
     x.__dict__.pop("fits", None)
     assert [x.joints.index(one.joint) for one in step_findings(x)] == steps
     assert len(often_disturbed(x.rows, x.joints, x.unit)) == len(steps)
-
-
-def standing(tree: Tree, minutes: float = 10.0) -> list[Recording]:
-    """Two recordings of an arm that rests most of the time: friction holds another part of the torque in each rest."""
-    made = made_motion(tree, minutes, 50.0, seed=3, pieces=2, drive=Drive(pause_s=40.0))
-    rng, recordings = np.random.default_rng(4), []
-    for r, friction in zip(made.recordings, made.friction, strict=True):
-        rests = np.abs(r.dq).max(axis=1) < 0.005
-        assert rests.mean() > 0.75
-        number = np.cumsum(np.diff(np.r_[0, rests.astype(int)]) == 1)
-        held = rng.uniform(-1, 1, (number[-1] + 1, tree.size)) * np.quantile(np.abs(friction), 0.95, axis=0)
-        recordings.append(replace(r, tau=r.tau + np.where(rests[:, None], held[number], 0.0)))
-    return recordings
-
-
-def test_what_friction_holds_in_long_rests_makes_no_recording_odd_without_a_model():
-    first, second = standing(planar_arm())
-    assert not odd([first, second], None)
-    inverted = replace(second, tau=one(second, "tau", np.negative))
-    assert [found.recording for found in odd([first, inverted], None)] == [second.name]
 
 
 @pytest.mark.parametrize(("rests", "grown"), [(False, [J]), (True, [])])

@@ -13,10 +13,10 @@ from tauext import _core
 from tauext.check import corrections, joint_fit
 from tauext.check.corrections import Change, Correction, best, exchanged, negated
 from tauext.check.effort import sign_vote
-from tauext.check.examination import SEARCH_S, Examination
+from tauext.check.examination import Examination
 from tauext.check.finding import Finding, Severity
 from tauext.check.joint_fit import FitRows
-from tauext.check.motion import FIT, MOVING_RAD_S, SIGNALS, Stretch
+from tauext.check.motion import FIT, SIGNALS, Stretch
 from tauext.check.robot_file import LEAST_KG, load_columns
 from tauext.data.recording import Recording
 from tauext.data.servo import makes_torque
@@ -102,19 +102,10 @@ class Comparison:
     def stretches(self, k: int) -> list[Stretch]:
         return [s for s in self.x.motion if s.recording == k]
 
-    def suspect(self, errors_nm: np.ndarray) -> np.ndarray:
-        """(joints,) bool: joints whose torque is off."""
-        usual_nm = np.maximum(self.pool.usual_nm, 1e-9)
-        return (errors_nm > SUSPECT * usual_nm) & (errors_nm > MATTERS * self.pool.spread_nm)
-
     def corrected(self, k: int) -> Finding | None:
-        """Finding of the correction that makes recording k agree with the others. Of an arm that rests, longer parts of
-        the recording are tried where there is no model: any correction fits the few poses of half a minute."""
-        known = self.parts[k].has_model
-        moves = 1.0 if known else (np.abs(self.parts[k].dq) > MOVING_RAD_S).any(axis=1).mean()
-        few = corrections.search_stretches(self.stretches(k), SEARCH_S / max(0.1, moves))
-        suspect = self.suspect(self.pool.errors(self.parts[k])) | known
-        one = Suspect(joint_fit.rows_of(few, self.x.tree), few, self, suspect)
+        """Finding of the correction that makes recording k agree with the others."""
+        few = corrections.search_stretches(self.stretches(k), 30.0)
+        one = Suspect(joint_fit.rows_of(few, self.x.tree), few, self)
         correction = one.best_correction()
         if correction is None:
             return None
@@ -263,13 +254,14 @@ def _consensus(parts: dict[int, FitRows]) -> tuple[list[int], Pool]:
 class Suspect:
     """A recording that the others' fit does not explain."""
 
-    def __init__(self, rows: FitRows, stretches: Sequence[Stretch], others: Comparison, suspect: np.ndarray) -> None:
+    def __init__(self, rows: FitRows, stretches: Sequence[Stretch], others: Comparison) -> None:
         self.rows, self.stretches, self.others = rows, stretches, others
         pool, self.predicted = others.pool, others.pool.predicted(rows)
         self.before_nm = pool.errors(rows)
         """(joints,) error of the others' fit."""
-        self.off = suspect & others.suspect(self.before_nm)
-        """(joints,) bool: joints whose torque is off, in the whole recording and in its rows that are tried."""
+        self.off = self.before_nm > SUSPECT * np.maximum(pool.usual_nm, 1e-9)
+        """(joints,) bool: joints whose torque is off."""
+        self.off &= self.before_nm > MATTERS * pool.spread_nm
 
     def best_correction(self) -> Correction | None:
         """The best sufficient correction, of the torques if there is one."""

@@ -130,14 +130,9 @@ def step_findings(x: Examination) -> Iterator[Finding]:
     # friction reaches 2.7
     times = 6.0 if rows.has_model else 4.0
     for j, fit in enumerate(x.fits):
-        predicted, judged = closest_fit(rows, j, fit.predicted) if rows.has_model else fit.predicted, rows.judged(j)
+        predicted = closest_fit(rows, j, fit.predicted) if rows.has_model else fit.predicted
         error = rows.tau[:, j] - predicted
-        if not judged.all() and not rows.has_model:  # its rests would decide the fit
-            columns = rows.columns(j)
-            predicted = columns @ joint_fit.robust_solve(columns[judged], rows.tau[judged, j])[0]
-            error = np.where(judged, rows.tau[:, j] - predicted, np.median((rows.tau[:, j] - predicted)[judged]))
-        error -= np.median(error)
-        largest = np.maximum.reduceat(np.abs(error), starts)[moves[:, j]]
+        largest = np.maximum.reduceat(np.abs(error - np.median(error)), starts)[moves[:, j]]
         if len(largest) < 120:
             continue
         usual, step = np.percentile(largest, (50, 90))

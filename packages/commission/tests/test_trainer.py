@@ -325,7 +325,7 @@ def test_a_broken_promise_is_reported_and_repaired(copy, motion, quick, monkeypa
         np.testing.assert_allclose(raised, [1.3, largest_left], rtol=1e-3)
     facts = json.loads(new.provenance)["limits"]
     assert len(facts["raised"]) == 2
-    assert "Limits are raised for false alarms" in facts["sentence"]
+    assert "Thresholds are raised for false alarms" in facts["sentence"]
 
     # Later limits keep it, whether or not the promise was broken meanwhile.
     one.promises.renew()

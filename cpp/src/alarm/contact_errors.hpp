@@ -45,7 +45,8 @@ class ContactErrors {
 
   // Finds what joints near stiction hide at this sample, for brought(); step() finds it where it counts.
   void find_hidden(std::uint32_t near_stiction, const Friction& friction) noexcept;
-  // touched: some joint is over its contact limit at this sample. presses: an expected contact is in effect. near_stiction: a bit a joint. tau_ext, sigma_nm, memory_gap:
+  // touched: some joint is over its contact limit at this sample. presses: an expected contact is in effect. near_stiction: a bit
+  // a joint. tau_ext, sigma_nm, memory_gap:
   // of this sample, the last one empty where there is none. into: the standard error, NaN where sigma_nm is.
   void step(std::int64_t t_ns, std::uint32_t near_stiction, bool touched, std::span<const double> tau_ext,
             std::span<const double> sigma_nm, std::span<const double> memory_gap, const Friction& friction,

@@ -447,7 +447,7 @@ def test_a_load_is_carried_and_an_expected_one_delays_the_exchange(tmp_path):
     loop.monitor.start_weighing()
     successor = WarmUp(new, loop.supply.recent, False, None, QUIET_S)
     successor.row = loop.supply.recent.count
-    assert successor.finish(loop.monitor) == "a load is expected or being weighed"
+    assert successor.finish(loop.monitor) == "a payload is expected or being identified"
 
 
 @pytest.fixture(scope="module")

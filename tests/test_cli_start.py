@@ -9,7 +9,7 @@ import sys
 import pytest
 from made_bundles import watching_bundle, with_error_scale
 
-from tauext.cli import given_once, main, options_with_lists
+from tauext.cli import given_once, main, options_with_lists, progress
 from tauext.cli.commands import all_commands
 from tauext.errors import ConfigError
 
@@ -102,3 +102,14 @@ def test_the_help_has_the_terms_of_the_glossary(capsys):
         with contextlib.suppress(SystemExit):
             main([*name.split(), *["--help"] * ("--help-config" not in name)])
         assert not OLD_WORDS.findall(capsys.readouterr().out), name
+
+
+def test_a_resumed_bar_estimates_from_the_steps_of_this_run(monkeypatch, capsys):
+    now = [100.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    bar = progress.ProgressBar("train")
+    for done in (60_000, 61_000):  # a checkpoint's steps, then a thousand in 20 s
+        bar.update(done, 100_000)
+        now[0] += 20.0
+    bar.update(62_000, 100_000)
+    assert capsys.readouterr().err.splitlines()[-1].endswith("40 s, 760 s left")

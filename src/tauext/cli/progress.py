@@ -22,6 +22,8 @@ class ProgressBar:
         self._bar: Any = None  # rich.progress.Progress
         self._task: Any = None
         self._started = self._last_line = time.monotonic()
+        self._first: tuple[int, float] | None = None
+        """What was done at the first update, and when: a resumed training begins with the steps of its checkpoint."""
 
     def __enter__(self) -> ProgressBar:
         if sys.stderr.isatty():
@@ -47,12 +49,12 @@ class ProgressBar:
             self._bar.update(self._task, completed=done, total=total, note=note)
             return
         now = time.monotonic()
+        first, since = self._first = self._first or (done, now)
         if done < total and now - self._last_line < PLAIN_LINE_EVERY_S:
             return
         self._last_line = now
-        elapsed = now - self._started
-        left = f", {elapsed / done * (total - done):.0f} s left" if 0 < done < total else ""
-        print(f"{self._title}: {done}/{total} {note}, {elapsed:.0f} s{left}", file=sys.stderr, flush=True)
+        left = f", {(now - since) / (done - first) * (total - done):.0f} s left" if first < done < total else ""
+        print(f"{self._title}: {done}/{total} {note}, {now - self._started:.0f} s{left}", file=sys.stderr, flush=True)
 
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
         if self._bar is not None:

@@ -26,7 +26,7 @@ CONTENTS = {
     "index": {
         "Start": "words install quickstarts/ur quickstarts/ros2 quickstarts/lerobot quickstarts/cpp your-robot",
         "Guides": "data training running loop commission loads contacts servo-arms fleets troubleshooting",
-        "Paper": "paper paper-rig",
+        "Paper": "paper results/mocca",
         "Method": "method/theory method/alarms method/changes method/training method/loads-and-forces references",
         "Results": "results/index",
         "Reference": "reference/cli reference/python reference/cpp reference/ros2 reference/files "
@@ -40,8 +40,7 @@ CONTENTS = {
         "": "made/cpp/*",
     },
     "results/index": {
-        "": "comparison bench mocca real-arms servo-arms forces pressing loads false-alarms change commission "
-        "checks speed",
+        "": "comparison bench real-arms servo-arms forces pressing loads false-alarms change commission checks speed",
     },
 }
 """Pages below a page, by the captions of the menu; pages of a folder are in the order of their names."""

@@ -204,7 +204,7 @@ def test_a_number_without_its_source_is_refused(results, source, problem):
 
 def test_tables_and_code_below_their_comments_are_replaced():
     assert "| Old |" not in (page := fill.filled("<!-- table: delays -->\n| Old |\n| x |\n\nText | with a bar\n"))
-    assert page.endswith("|\n\nText | with a bar\n") and page.count("\n| exact | 2,\u00a03,\u00a01,") == 1
+    assert page.endswith("|\n\nText | with a bar\n") and page.count("\n| exact | 0,\u00a0−5,\u00a03,") == 1
     comment = "<!-- code: examples/04_plugin/my_log.py | def open_log | def find_clipped -->\n"
     rest = "\n```text\nkept\n```\n"
     page = fill.filled(f"{comment}```python\nold\n```\n{rest}")
@@ -220,14 +220,14 @@ def test_numbers_tables_and_code_of_a_page_are_those_of_their_sources(page):
     assert fill.filled(page.read_text()) == page.read_text(), "run make lint"
 
 
-def test_the_papers_tables_have_a_row_for_every_case_and_recipe():
-    results = paper_tables.load("full/results")
-    table, delays = paper_tables.table_1(results), paper_tables.delays(results)
-    assert [line.split(" | ")[0] for line in table[2:]] == [line.split(" | ")[0] for line in delays[2:]]
-    assert table[2].startswith("| exact | paper | 0.431/0.186 | 0.402/0.262 |") and len(table) == 7
-    assert delays[2].startswith(
-        "| exact | 2,\u00a03,\u00a01,\u00a03,\u00a00,\u00a02,\u00a0−2,\u00a07,\u00a02,\u00a02 | 2.0 | 107 of 200 |"
-    )
+def test_table_1_has_the_mean_of_the_seeds_and_the_papers_errors():
+    seeds = [{"case": "none", "l1": [k, 0.5], "l2": [1, 1], "mse": [2, 2]} for k in (0.25, 0.5, 0.75)]
+    free = {"l1_nm": [0.125, 0.25], "l2_nm": [1, 1], "mse_nm2": [1, 1]}
+    dense = {"bundles": [{"case": "none", "recipe": recipe, "free_motion": free} for recipe in ("dense", "prior")]}
+    rows = paper_tables.table_1(seeds, seeds[:1], dense)[2:]
+    assert [row.split(" | ")[1] for row in rows] == ["100 epochs, 3 seeds", "500 epochs, 1 seed", "`dense`"]
+    assert "| 0.500/0.500 (0.250/0.500 to 0.750/0.500) | 0.409/0.259 | 1.000/1.000 | 0.683/0.376 |" in rows[0]
+    assert "| 0.250/0.500 | 0.409/0.259 |" in rows[1] and "| 0.125/0.250 | 0.409/0.259 |" in rows[2]
 
 
 def test_the_table_of_results_has_every_object_and_key_of_a_kept_file():
@@ -261,13 +261,13 @@ def test_the_table_of_estimates_has_every_quantity_with_its_meaning():
 
 
 def test_delays_of_joint_one_leave_out_collisions_that_it_does_not_show():
-    verdicts = [(0.010, [0.010, 0.020]), (0.0, [-0.010, None]), (-0.010, [None, -0.010])]
-    keys = ("id", "delay_against_sensor_s", "joint_delays_against_sensor_s")
-    collisions = [dict(zip(keys, (str(k), *verdict), strict=True)) for k, verdict in enumerate(verdicts)]
+    collisions = [
+        {"id": str(k), "joint_delays_against_sensor_s": delays_s}
+        for k, delays_s in enumerate([[0.010, 0.020], [-0.010, None], [None, -0.010]])
+    ]
     bundle = {"case": "exact", "recipe": "paper", "collisions": collisions}
     results = {"bundles": [bundle], "ten_collisions": ["0", "2"]}
-    assert paper_tables.delays(results, joint=0)[2] == "| exact | 10 | 10.0 | 2 of 3 | 0.0 | −9\u00a0to\u00a09 | 10 |"
-    assert paper_tables.delays(results)[2] == "| exact | 10,\u00a0−10 | 0.0 | 3 of 3 | 0.0 | −9\u00a0to\u00a09 | 10 |"
+    assert paper_tables.delays(results)[2] == "| exact | 10 | 10.0 | 2 of 3 | 0.0 | −9\u00a0to\u00a09 | 10 |"
 
 
 @pytest.mark.parametrize("page", fill.pages(), ids=lambda page: page.name)

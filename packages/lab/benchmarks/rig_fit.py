@@ -2,8 +2,8 @@
 
     python packages/lab/benchmarks/rig_fit.py DATA [BUNDLE.tauext ...]
 
-DATA is the folder of collisions.csv (tauext_lab/bench/mocca_recording.py). docs/paper-rig.md holds the tables that it
-prints.
+DATA is the folder of collisions.csv (tauext_lab/bench/mocca_recording.py). docs/results/mocca/rig-fit.json
+holds the tables that it prints.
 
 Motor torque less the nominal model is friction plus the error of its gravity. Friction is the rig's own law (LuGre
 bristles, Coulomb and static part, viscous part, growth with the load on the gear). Both pass the recorded observer's

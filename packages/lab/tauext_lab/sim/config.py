@@ -1,4 +1,4 @@
-"""Every number of the virtual rig, in frozen dataclasses; docs/paper-rig.md gives the source of each."""
+"""Every number of the virtual rig, in frozen dataclasses; docs/paper.md gives the source of each."""
 
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any, Protocol

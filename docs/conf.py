@@ -40,7 +40,7 @@ CONTENTS = {
         "": "made/cpp/*",
     },
     "results/index": {
-        "": "comparison bench real-arms servo-arms forces pressing loads false-alarms change commission checks speed",
+        "": "comparison bench real-arms servo-arms forces pressing loads false-alarms commission checks speed",
     },
 }
 """Pages below a page, by the captions of the menu; pages of a folder are in the order of their names."""

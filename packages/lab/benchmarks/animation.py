@@ -137,12 +137,12 @@ def drawn(arm: Arm, made: argparse.Namespace, said: dict[str, np.ndarray], push:
     return "\n".join(
         [
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}"',
-            '  font-family="system-ui, sans-serif" font-size="14">',
+            '  font-family="system-ui, sans-serif" font-size="24">',  # 11 px on a phone
             "  <title>A push on a link of a simulated arm and the estimate of its external torque</title>",
             f"  <style>{STYLE}\n  </style>",
             *parts,
             hand(x, y, links, push),
-            *plot(t_s, said, joint, arm.maker.joints[joint], alarm_s),
+            *plot(t_s, said, joint, alarm_s),
             "</svg>\n",
         ]
     )
@@ -166,7 +166,7 @@ def hand(x: np.ndarray, y: np.ndarray, links: list[int], push: Contact) -> str:
     )
 
 
-def plot(t_s: np.ndarray, said: dict[str, np.ndarray], joint: int, name: str, alarm_s: float) -> list[str]:
+def plot(t_s: np.ndarray, said: dict[str, np.ndarray], joint: int, alarm_s: float) -> list[str]:
     """External torque of a joint within its threshold, which appears as time passes."""
     left, top, width, height = PLOT
     shown = np.flatnonzero((t_s >= 0) & (t_s < SHOWN_S))[:: max(1, int((t_s >= 0).sum() / 400))]
@@ -181,17 +181,17 @@ def plot(t_s: np.ndarray, said: dict[str, np.ndarray], joint: int, name: str, al
 
     band = path(limit) + " " + " ".join(reversed(path(-limit).split(" ")))
     now, right = animated("width", width * np.linspace(0, 1, 41)), f'x="{left + width}" text-anchor="end"'
-    late = f"collision, {1e3 * (alarm_s - BEFORE_S):.0f} ms after the touch began"
+    late = f"collision after {1e3 * (alarm_s - BEFORE_S):.0f} ms"
     return [
         f'<clipPath id="past"><rect x="{left}" y="{top}" height="{height}" width="{width}">{now}</rect></clipPath>',
         f'<polygon class="band" points="{band}"/>',
         f'<path class="axis" d="M{left},{top} v{height} M{left},{middle} h{width}"/>',
         f'<g clip-path="url(#past)"><polyline class="torque" points="{path(tau)}"/></g>',
-        f'<text class="ink" x="{left}" y="{top - 26}">external torque of {name} and its threshold</text>',
-        f'<text class="grey" x="{left + 4}" y="{top + 12}">{size:.0f} Nm</text>',
-        f'<text class="grey" x="{left}" y="{top + height + 20}">0 s</text>',
-        f'<text class="grey" {right} y="{top + height + 20}">{SHOWN_S:.0f} s, simulated arm</text>',
-        f'<text class="alarm" {right} y="{top - 6}" font-weight="600" opacity="0">{late}',
+        f'<text class="ink" x="{left}" y="{top - 28}">external torque and threshold</text>',
+        f'<text class="grey" x="{left + 4}" y="{top + 22}">{size:.0f} N m</text>',
+        f'<text class="grey" x="{left}" y="{top + height + 28}">0 s</text>',
+        f'<text class="grey" {right} y="{top + height + 28}">{SHOWN_S:.0f} s, simulated arm</text>',
+        f'<text class="alarm" {right} y="{top - 4}" font-weight="600" opacity="0">{late}',
         f"{switched('opacity', '0', '1', alarm_s)}</text>",
     ]
 

@@ -154,7 +154,7 @@ def table(columns: list[str], rows: list[list[str]]) -> str:
 
 
 def draw(recording: Path, estimates: Path, joints: list[int], spans: list[tuple[float, float]], path: Path) -> None:
-    """The estimate of some joints over time, their limits, and where something happened."""
+    """The estimate of some joints over time, their thresholds, and where something happened."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
     from tauext_lab.report.style import CASE_COLOURS, CONTACT, GREY, RC, SENSOR
@@ -169,7 +169,7 @@ def draw(recording: Path, estimates: Path, joints: list[int], spans: list[tuple[
                 axes.plot(signals.time_s, signals.tau_ext[:, j], color=SENSOR, lw=0.8, label="the robot's own tau_ext")
             axes.plot(signals.time_s, estimated.tau_ext[:, j], color=CASE_COLOURS["exact"], lw=0.9, label="tauext")
             for sign in (-1, 1):
-                label = "limit" if sign > 0 else None
+                label = "threshold" if sign > 0 else None
                 limit = sign * estimated.limit_nm[:, j]
                 axes.plot(signals.time_s, limit, color=GREY, lw=0.5, ls="--", zorder=1, label=label)
             top = 3 * float(np.median(estimated.limit_nm[:, j])) if signals.tau_ext is None else None

@@ -27,7 +27,7 @@ CONTENTS = {
         "Start": "words install quickstarts/ur quickstarts/ros2 quickstarts/lerobot quickstarts/cpp your-robot",
         "Guides": "data training running loop commission loads contacts servo-arms fleets troubleshooting",
         "Paper": "paper results/mocca",
-        "Method": "method/theory method/alarms method/changes method/training method/loads-and-forces references",
+        "Method": "method/theory method/alarms method/training method/loads-and-forces references",
         "Results": "results/index",
         "Reference": "reference/cli reference/python reference/cpp reference/ros2 reference/files "
         "reference/files-bundle reference/files-results",

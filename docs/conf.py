@@ -27,16 +27,16 @@ CONTENTS = {
         "Start": "words install quickstarts/ur quickstarts/ros2 quickstarts/lerobot quickstarts/cpp your-robot",
         "Guides": "data training running loop commission loads contacts servo-arms fleets troubleshooting",
         "Paper": "paper results/mocca",
-        "Method": "method/theory method/alarms method/changes method/training method/loads-and-forces references",
+        "Method": "method/theory method/alarms method/training method/loads-and-forces references",
         "Results": "results/index",
-        "Reference": "reference/cli reference/python reference/cpp reference/ros2 reference/files "
+        "Reference": "reference/cli reference/api reference/ros2 reference/files "
         "reference/files-bundle reference/files-results",
         "Project": "architecture reference/made/project/*",
     },
     "reference/cli": {
         "": "made/cli/*",
     },
-    "reference/cpp": {
+    "reference/api": {
         "": "made/cpp/*",
     },
     "results/index": {
@@ -44,6 +44,8 @@ CONTENTS = {
     },
 }
 """Pages below a page, by the captions of the menu; pages of a folder are in the order of their names."""
+INCLUDED = {"reference/cli": ["cli"], "reference/api": ["python", "cpp"]}
+"""Indices in reference/made at the end of a page."""
 TERM = re.compile(r"(?:^|(?<=, )|(?<=; ))([a-z][a-z-]*(?: [a-z-]+){0,3})(?=,|;| \(|$)")
 """One term of a cell of the glossary, such as `trained detector` and `model file`."""
 HEADER = re.compile(r"\]\((?:\.\./)+cpp/include/tauext/(\w+)\.(hpp|h)\)")
@@ -55,9 +57,8 @@ def add_contents(app, name, source):
     These are contents, the index of a reference that is made from the code, and links to the pages of headers in place
     of the headers.
     """
-    made = Path(app.srcdir) / "reference" / "made"
-    if name.startswith("reference/") and (made / f"{Path(name).name}.inc").exists():
-        source[0] += f"\n```{{include}} made/{Path(name).name}.inc\n```\n"
+    for index in INCLUDED.get(name, []):
+        source[0] += f"\n```{{include}} made/{index}.inc\n```\n"
     for caption, pages in CONTENTS.get(name, {}).items():
         lines = [":hidden:", ":glob:", f":caption: {caption}" if caption else "", "", *pages.split()]
         source[0] += "\n```{toctree}\n" + "\n".join(lines) + "\n```\n"

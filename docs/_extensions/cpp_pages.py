@@ -86,7 +86,7 @@ def c_page(header: Path) -> list[str]:
 
 
 def write(app: Any) -> None:
-    index = ["| header | what it holds |", "|---|---|"]
+    index = ["## C++ headers", "", "| header | content |", "|---|---|"]
     for header in sorted(HEADERS.glob("*.hpp")):
         lines = page(header)
         write_page(f"cpp/{header.stem}.md", lines)

@@ -53,7 +53,7 @@ def members(name: str) -> list[str]:
 
 def page(heading: str, names: list[str]) -> list[str]:
     """The Markdown of one group."""
-    lines = [f"# {heading}", "", "A part of the [Python API](../../python.md): each name is `tauext.NAME`.", ""]
+    lines = [f"# {heading}", "", "A part of the [Python API](../../api.md): each name is `tauext.NAME`.", ""]
     for name in names:
         kind = directive(name)
         lines += [f"## {name}", "", "```{eval-rst}", f".. {kind}:: tauext.{name}"]

@@ -176,7 +176,7 @@ class FreeMotionConfig(Settings):
 
 @dataclass(frozen=True)
 class AlarmConfig(Settings):
-    """Conditions of an alarm, and the permitted rate of false alarms."""
+    """Conditions of an alarm, and the target false alarm rate."""
 
     false_alarms: Annotated[float, within(1e-6, 1e6)] = 1.0
     """Largest number of false collisions of the whole arm in in_hours. With calibration recordings, thresholds and hold

@@ -152,7 +152,7 @@ def used_as_printed(driver: Driver, done: list[str]) -> None:
     """What the page has a person do beside the running monitor: push the arm, read the topics, resume, set a load."""
     page, peer = Page(PAGE), Node(Ros2Settings(domain=DOMAIN, node="person"))
     echoed = [topic for verb, topic in (words[:2] for words in page.commands("ros2 topic")) if verb == "echo"]
-    assert echoed == ["/tauext/collision", "/tauext/external_torque", "/force_torque_sensor_broadcaster/wrench"]
+    assert echoed == ["/tauext/collision", "/tauext/external_torque"]
     collision = peer.inbox(echoed[0], Bool, "reliable", "transient-local", 8).reader
     torque = peer.inbox(echoed[1], JointState, "reliable", "volatile", 8).reader
 

@@ -92,29 +92,29 @@ class Estimates:
     tau_ext: np.ndarray
     """External torque: residual - uncertainty; NaN while warming up."""
     limit_nm: np.ndarray
-    """What |tau_ext| must exceed for a collision."""
+    """Collision threshold of |tau_ext|."""
     near_stiction: np.ndarray
-    """Whether the limits are those near stiction, not those of sliding."""
+    """Whether the thresholds are those near stiction."""
     health: np.ndarray
     """0 warming up, 1 ok, 2 stale, 3 fault."""
     causes: np.ndarray
     """A bit for each cause why health is not ok; `cause_names` has the words."""
     detection: np.ndarray
-    """Healthy, and some |tau_ext| over its collision limit."""
+    """Healthy, and some |tau_ext| over its collision threshold."""
     held_alarm: np.ndarray
     """Level held at this sample: 0 none, 1 contact, 2 collision."""
     touch: np.ndarray
-    """Kind of the touch, of `Touch`; of a monitor 0 once the alarm was acknowledged."""
+    """Contact type, of `Touch`; of a monitor 0 once the alarm was acknowledged."""
     prior: np.ndarray | None = None
-    """What physics, fitted to the data, expects of r; None where the bundle has no prior."""
+    """r expected from friction and model errors; None where the bundle has no prior."""
     drift: np.ndarray | None = None
-    """What the tracker of slow changes takes off; None where the bundle has none."""
+    """Adaptive bias that is subtracted; None where the bundle has none."""
     sigma_nm: np.ndarray | None = None
-    """Standard error of tau_ext; NaN where that is; None where the bundle has no error scale."""
+    """Standard error of tau_ext, NaN as tau_ext; None where the bundle has no error scale."""
     contact_sigma_nm: np.ndarray | None = None
     """Standard error of tau_ext during a contact and after it; None as sigma_nm."""
     contact_limit_nm: np.ndarray | None = None
-    """What |tau_ext| must exceed for a contact; None in files of `tauext evaluate`."""
+    """Contact threshold of |tau_ext|; None in files of `tauext evaluate`."""
     alarm: np.ndarray | None = None
     """The alarm level, latched until acknowledged; None unless from a monitor."""
 

@@ -40,7 +40,7 @@ def recalibrate(
     refit_error_scale: bool = False,
     accept: Sequence[str] = (),
 ) -> dict:
-    """Write a copy of a bundle with limits for another promise or from other recordings; nothing is trained.
+    """Write a copy of a bundle with thresholds for another target or from other recordings; nothing is trained.
 
     Returns facts of the limits, as the run file has them; `sentence` states the promise.
 

@@ -139,7 +139,7 @@ def train_bundle(
     start: Start = NOTHING,
     meshes: MeshFolders = MeshFolders(),
 ) -> Bundle:
-    """Train on a dataset's free motion, find limits on its validation or calibration recordings, and write one bundle.
+    """Train on a dataset's free motion, find thresholds on validation or calibration recordings, and write one bundle.
 
     All data are checked first (tauext.check): faults are refused, warnings are reported and stored in the bundle.
 

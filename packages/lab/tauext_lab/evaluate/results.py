@@ -178,7 +178,7 @@ class CollisionVerdict:
 
 @dataclass(frozen=True)
 class FoundBin:
-    """Collisions whose sensor peak lies between two multiples of the limit, and how many were found."""
+    """Collisions whose sensor peak lies between two multiples of the threshold, and how many were found."""
 
     peak_over_limit_from: float
     peak_over_limit_to: Number
@@ -224,7 +224,7 @@ class StrengthBin:
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """All limits times `scale`: false collisions an hour, and collisions missed."""
+    """All thresholds times `scale`: false collisions an hour, and collisions missed."""
 
     scale: float
     false_per_hour: Number
@@ -249,17 +249,17 @@ class FreeMotion:
     near_stiction_share: Numbers
     observer_peak_nm: Numbers
     false_alarms: int | None
-    """Single samples over a limit."""
+    """Single samples over a threshold."""
     false_alarms_per_hour: Number
     false_collisions: int | None
     promised_per_hour: Number
-    """False collisions that the limits are set for; None if they have no budget."""
+    """Target false alarm rate; None: none."""
     false_collisions_interval_per_hour: tuple[Number, Number] | None
     """The 95 % interval."""
     promise_consistent: bool | None
     promise_kept: bool | None
     at_most_per_hour: Number = None
-    """Upper end of the interval that extrapolated limits state; else promised_per_hour."""
+    """Upper end of the interval that extrapolated thresholds state; else promised_per_hour."""
 
 
 @dataclass(frozen=True)
@@ -267,7 +267,7 @@ class Limits:
     sliding_nm: Numbers
     near_stiction_nm: Numbers
     moving: bool | None
-    """Limits follow the motion; these are the limits in usual motion."""
+    """Thresholds follow the motion; these are those of usual motion."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -318,7 +318,7 @@ class SigmaRegion:
 
 @dataclass(frozen=True)
 class EveryWay:
-    """Over poses and directions, [N]; None: blind."""
+    """Over poses and directions, [N]; None: unobservable."""
 
     median_n: Number
     nine_of_ten_n: Number
@@ -326,7 +326,7 @@ class EveryWay:
 
 @dataclass(frozen=True)
 class OverPoses:
-    """Force in one direction, [N]; None: blind."""
+    """Force in one direction, [N]; None: unobservable."""
 
     median_n: Number
     worst_n: Number
@@ -349,7 +349,7 @@ class NoticedAt:
 
 @dataclass(frozen=True)
 class NoticedForce:
-    """Smallest forces that exceed a limit; `refused` is the reason if there are none."""
+    """Smallest forces that exceed a threshold; `refused` is the reason if there are none."""
 
     refused: str | None = None
     poses: int = 0
@@ -440,7 +440,7 @@ class Injected:
 
 @dataclass(frozen=True)
 class DetectedForces:
-    """What push a bundle detects: one that lasts, by its limits, and pushes added to free motion."""
+    """What push a bundle detects: one that lasts, by its thresholds, and pushes added to free motion."""
 
     lasting: NoticedForce | None
     added: Injected | None = None
@@ -513,7 +513,7 @@ class OwnTorqueEvents:
 
 @dataclass(frozen=True)
 class OtherEvents:
-    """A method of others that makes no bundle, with limits at its largest values in training."""
+    """A method of others that makes no bundle, with thresholds at its largest values in training."""
 
     name: str
     events: Events

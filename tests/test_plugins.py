@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from made_bundles import pushed, watching_bundle
 
+import tauext.cli.loop_options  # its options are of the packages installed when it is imported: before any is faked
 from tauext import cli, plugins
 from tauext.check import finding
 from tauext.check.examine import examine

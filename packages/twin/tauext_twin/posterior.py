@@ -1,0 +1,317 @@
+"""Friction, rotor inertia, masses and centres of mass of an arm as a simulator has them, with a joint posterior."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.stats import chi2
+
+from tauext import _core
+from tauext.data.recording import Recording
+from tauext.fit.regression import NormalEquations, solve_within
+from tauext.fit.ridge import Regressors, gather
+from tauext.fit.training_set import Setup, with_presliding
+from tauext.robot.inertial import PARAMETERS, point_inertia, six_of
+
+Kind = _core.TermKind
+FRICTION = tuple(
+    getattr(Kind, name)
+    for name in ("viscous", "coulomb", "presliding", "load", "load_presliding", "local_memory", "backlash")
+)
+"""Terms that a simulator's damping and frictionloss stand for."""
+OF_LINK = ("mass", "x", "y", "z", "inertia", "armature")
+"""Unknowns of a link: mass added at its centre of mass [kg], mass times the shift of that centre [kg m], share by which
+its inertia about that centre is larger, and the rotor inertia of its joint [kg m^2]; each beside the robot file."""
+VALUES = ("damping", "frictionloss", "armature", "mass", "com_x", "com_y", "com_z", "inertia_factor")
+"""What a simulator has of a joint and its link: [N m s/rad], [N m], [kg m^2], [kg], [m]; a factor on the file's
+inertia about the centre of mass."""
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Standard deviations of what a robot file leaves open, before any motion is seen."""
+
+    mass_share: float = 0.2
+    com_m: float = 0.03
+    inertia_share: float = 0.3
+    """Of a link's inertia about its centre of mass."""
+    rotor_share: float = 0.5
+    """Of the arm's largest inertia about a joint."""
+    tool_share: float = 0.1
+    """A tool that the file lacks: of the arm's mass, at the last link ..."""
+    tool_m: float = 0.1
+    """... and how far from that link's centre of mass, [m]."""
+    piece_s: float = 6.0
+    """Length of pieces whose errors are taken as independent, [s]."""
+    most_pieces: int = 120
+    least_mass: float = 0.1
+    """Share of its mass in the file that a link keeps at least, and likewise of its inertia."""
+
+
+@dataclass(frozen=True)
+class Posterior:
+    r"""Unknowns x of a linear model of r, and what a simulator's joint is of them.
+
+    .. math:: x = (w, \theta),\quad A = \sum_j G_j / (\kappa_j s_j^2) + \Lambda,\quad \hat x = A^{-1} b,\quad
+        C = A^{-1} \Big(\sum_p g_p g_p^T + \Lambda\Big) A^{-1}
+
+    w: weights of the friction terms; theta: OF_LINK of each link. G: Gram matrix, s^2: mean squared error of joint j,
+    kappa: by how much the sums of its errors over pieces p exceed those of independent ones; g_p: score of a piece, so
+    that errors may persist within it. Lambda: inverse variances of Expected.
+    """
+
+    tree: _core.Tree
+    """Of the robot file."""
+    terms: tuple[tuple[_core.Term, ...], ...]
+    """Of each joint, in the order of w."""
+    equations: NormalEquations
+    """Of all pieces, in the columns of x."""
+    A: np.ndarray
+    b: np.ndarray
+    middle: np.ndarray
+    """What A^-1 encloses in C."""
+    torque_error: np.ndarray
+    """Standard error of each joint's torque constant beside the others, (n,), as a share ..."""
+    torque_common: float = 0.0
+    """... and of all of them together, which scales masses too."""
+
+    @cached_property
+    def mean(self) -> np.ndarray:
+        return self.solved(np.ones(len(self.b), dtype=bool))
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        inverse = np.linalg.inv(self.A)
+        return np.asarray(inverse @ self.middle @ inverse)
+
+    def solved(self, free: np.ndarray) -> np.ndarray:
+        """The unknowns where those that are not free are 0; no rotor inertia is below 0."""
+        n, x = self.tree.size, np.zeros(len(self.b))
+        low = np.full(len(x), -np.inf)
+        low[-len(OF_LINK) * n :].reshape(n, -1)[:, -1] = [-link.rotor_inertia for link in self.tree.links]
+        infinite = np.full(int(free.sum()), np.inf)
+        x[free] = solve_within(self.A[np.ix_(free, free)], self.b[free], low[free], infinite)
+        return x
+
+    def off_the_file(self, doubt: float = 0.05) -> np.ndarray:
+        """The unknowns with every link as in the file whose correction the motion does not show, (columns,).
+
+        The link with the least evidence is put back to the file's values, the rest is solved again, and so on until
+        each that is left differs by more than its errors explain. So the shoulder's mass does not take what the tool's
+        explains as well.
+
+        Args:
+            doubt: probability of a link being changed that is as in the file.
+        """
+        n, free = self.tree.size, np.ones(len(self.b), dtype=bool)
+        links = np.arange(len(self.b))[-len(OF_LINK) * n :].reshape(n, -1)
+        groups = [group for one in links for group in (one[:-1], one[-1:])]
+        while True:
+            x, inverse = self.solved(free), np.linalg.inv(self.A[np.ix_(free, free)])
+            covariance = np.zeros_like(self.A)
+            covariance[np.ix_(free, free)] = inverse @ self.middle[np.ix_(free, free)] @ inverse
+            chances = {
+                k: chi2.sf(x[at] @ np.linalg.pinv(covariance[np.ix_(at, at)], hermitian=True) @ x[at], len(at))
+                for k, at in enumerate(groups)
+                if free[at].any()
+            }
+            least = max(chances, key=lambda k: chances[k], default=-1)
+            if least < 0 or chances[least] <= doubt:
+                return x
+            free[groups[least]] = False
+
+    @cached_property
+    def sliding(self) -> list[tuple[int, int]]:
+        """Columns of each joint's viscous term, and of its Coulomb term with the narrowest smoothing."""
+        found, first = [], 0
+        for terms in self.terms:
+            coulomb = [k for k, term in enumerate(terms) if term.kind == Kind.coulomb]
+            viscous = next(k for k, term in enumerate(terms) if term.kind == Kind.viscous)
+            found.append((first + viscous, first + min(coulomb, key=lambda k: terms[k].speed)))
+            first += len(terms)
+        return found
+
+    def friction(self, x: np.ndarray, kinds: Sequence[_core.TermKind] = FRICTION, bounded: bool = True) -> np.ndarray:
+        """Damping [N m s/rad] and frictionloss [N m] of each joint that come closest to its friction, (n, 2).
+
+        Least squares over the motion, behind the observer: G_SS^-1 G_SF w for the columns S of `sliding` and F of these
+        kinds; r has friction with a minus.
+
+        Args:
+            bounded: neither is below 0.
+        """
+        out, first = np.zeros((self.tree.size, 2)), 0
+        for j, terms in enumerate(self.terms):
+            at, gram = self.equations.columns[j], self.equations.gram[j]
+            own = first + np.array([k for k, term in enumerate(terms) if term.kind in kinds], dtype=int)
+            first += len(terms)
+            S, F = np.searchsorted(at, self.sliding[j]), np.searchsorted(at, own)
+            size = np.sqrt(np.maximum(np.diag(gram)[S], 1e-300))
+            square = gram[np.ix_(S, S)] / np.outer(size, size) + 1e-9 * np.eye(2)
+            right = -(gram[np.ix_(S, F)] @ x[own]) / size
+            out[j] = solve_within(square, right, np.full(2, 0.0 if bounded else -np.inf), np.full(2, np.inf)) / size
+        return out
+
+    def theta(self, x: np.ndarray) -> np.ndarray:
+        """OF_LINK of each link, (n, 6)."""
+        return x[-len(OF_LINK) * self.tree.size :].reshape(self.tree.size, -1)
+
+    def values(self, x: np.ndarray, expected: Expected = Expected()) -> np.ndarray:
+        """VALUES of each joint, (n, 8)."""
+        out = np.zeros((self.tree.size, len(VALUES)))
+        out[:, :2] = self.friction(x)
+        least = expected.least_mass
+        for k, (link, theta) in enumerate(zip(self.tree.links, self.theta(x), strict=True)):
+            mass = max(link.mass + theta[0], least * link.mass)
+            com = np.array(link.com) + theta[1:4] / max(mass, 1e-9)
+            out[k, 2:] = max(link.rotor_inertia + theta[5], 0.0), mass, *com, max(1 + theta[4], least)
+        return out
+
+    def draws(self, count: int, seed: int) -> np.ndarray:
+        """Joint draws of VALUES, (count, n, 8); the torque of each joint is drawn within the error of its constant."""
+        rng = np.random.default_rng(seed)
+        size = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
+        values, vectors = np.linalg.eigh(self.covariance / np.outer(size, size))
+        root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+        drawn = np.array([self.values(self.mean + root @ rng.standard_normal(len(self.mean))) for _ in range(count)])
+        drawn = drawn.reshape(count, self.tree.size, len(VALUES))
+        factors = np.maximum(1 + self.torque_error * rng.standard_normal((count, self.tree.size)), 0.5)
+        drawn[:, :, :3] *= factors[:, :, None]
+        drawn[:, :, :4] *= np.maximum(1 + self.torque_common * rng.standard_normal(count), 0.5)[:, None, None]
+        return drawn
+
+
+def find_posterior(
+    setup: Setup,
+    recordings: Sequence[Recording],
+    terms: Sequence[Sequence[_core.Term]],
+    loads: Sequence[_core.Link],
+    torque_error: np.ndarray,
+    torque_common: float = 0.0,
+    expected: Expected = Expected(),
+) -> Posterior:
+    """The posterior of an arm's parameters from free motion.
+
+    Args:
+        setup: the robot file's tree, and the bundle's observer and presliding states.
+        terms: friction terms of each joint, as the bundle's prior has them.
+        loads: links whose beta its load terms see.
+        torque_error, torque_common: see Posterior.
+
+    Raises:
+        TrainingError: no recording is longer than the observer's warm-up.
+    """
+    total_s = sum(recording.duration_s for recording in recordings)
+    count = int(np.clip(total_s / expected.piece_s, 20, expected.most_pieces))
+    regressors = Regressors([list(of) for of in terms], corrected=setup.tree, loads=list(loads))
+    bent = with_presliding(setup, setup.widths_rad, setup.prior.branches)
+    equations = gather(bent, recordings, regressors, max(1, round(count / max(len(recordings), 1))))
+    basis, width = link_basis(setup.tree), sum(map(len, terms))
+    unknown = np.array(setup.observer.unknown_constant or [False] * setup.tree.size, dtype=bool)
+    pieces = [reduced(one, basis, width, ~unknown) for one, _ in equations]
+    whole = sum(pieces[1:], start=pieces[0])
+    precision = _precision(setup.tree, recordings, width, whole, expected)
+    found = _weighted(setup.tree, tuple(map(tuple, terms)), pieces, whole, precision)
+    return replace(found, torque_error=torque_error, torque_common=torque_common)
+
+
+def link_basis(tree: _core.Tree) -> np.ndarray:
+    """Changes of all links' PARAMETERS by OF_LINK, to first order, (11 n, 6 n).
+
+    Added mass, and a shift of the centre of mass, change first moment and inertia about the joint's origin alike. A
+    link's inertia grows by one share, so that it stays one that a body can have.
+    """
+    h, inertia = slice(1, 4), slice(4, 10)
+    out = np.zeros((len(PARAMETERS) * tree.size, len(OF_LINK) * tree.size))
+    for k, link in enumerate(tree.links):
+        own, c = np.zeros((len(PARAMETERS), len(OF_LINK))), np.array(link.com)
+        own[0, 0], own[h, 0], own[inertia, 0] = 1.0, c, six_of(point_inertia(1.0, c))
+        for axis, e in enumerate(np.eye(3)):
+            own[h, 1 + axis] = e
+            own[inertia, 1 + axis] = six_of(2 * (c @ e) * np.eye(3) - np.outer(c, e) - np.outer(e, c))
+        own[inertia, 4], own[-1, 5] = link.inertia, 1.0
+        out[len(PARAMETERS) * k :, len(OF_LINK) * k :][: len(PARAMETERS), : len(OF_LINK)] = own
+    return out
+
+
+def reduced(equations: NormalEquations, basis: np.ndarray, width: int, in_nm: np.ndarray) -> NormalEquations:
+    """The same equations with OF_LINK in place of all inertial parameters; joints in other units show none of these.
+
+    Args:
+        width: number of friction terms.
+        in_nm: joints whose torque is in N m, (n,) bool.
+    """
+    columns, grams, moments = [], [], []
+    for at, gram, moment, counts in zip(equations.columns, equations.gram, equations.moment, in_nm, strict=True):
+        own = int((at < width).sum())
+        T = np.zeros((len(at), own + basis.shape[1]))
+        T[:own, :own] = np.eye(own)
+        T[own:, own:] = basis if counts else 0.0
+        columns.append(np.r_[at[:own], width + np.arange(basis.shape[1])])
+        grams.append(T.T @ gram @ T)
+        moments.append(T.T @ moment)
+    return NormalEquations(tuple(columns), grams, moments, equations.energy, equations.rows)
+
+
+def largest_inertia(tree: _core.Tree, recordings: Sequence[Recording]) -> float:
+    """The largest inertia about any joint at the recordings' first poses, [kg m^2]."""
+    q, largest = np.array([recording.q[0] for recording in recordings]), 1e-3
+    for j in range(tree.size):
+        dq = np.zeros_like(q)
+        dq[:, j] = 1.0
+        largest = max(largest, float(tree.momentum(q, dq)[0][:, j].max()))
+    return largest
+
+
+def _precision(
+    tree: _core.Tree, recordings: Sequence[Recording], width: int, whole: NormalEquations, expected: Expected
+) -> np.ndarray:
+    """Inverse variances of all unknowns before any motion, (columns,); a friction term may be as large as all of r."""
+    variance = np.ones(width + len(OF_LINK) * tree.size)
+    for at, gram, energy in zip(whole.columns, whole.gram, whole.energy, strict=True):
+        own = at < width
+        square = np.diag(gram)[own]
+        variance[at[own]] = np.where(square > 0, energy / np.maximum(square, 1e-12 * whole.rows), 1.0)
+    masses = np.array([link.mass for link in tree.links])
+    mass = expected.mass_share * masses + 0.01 * masses.mean()
+    shift = expected.com_m * (masses + 0.05 * masses.mean())
+    mass[-1] += expected.tool_share * masses.sum()
+    shift[-1] += expected.tool_m * mass[-1]
+    inertia = np.full(tree.size, expected.inertia_share)
+    rotor = np.full(tree.size, expected.rotor_share * largest_inertia(tree, recordings))
+    variance[width:] = np.column_stack([mass, shift, shift, shift, inertia, rotor]).ravel() ** 2
+    return 1 / np.maximum(variance, 1e-18)
+
+
+def _weighted(
+    tree: _core.Tree,
+    terms: tuple[tuple[_core.Term, ...], ...],
+    pieces: Sequence[NormalEquations],
+    whole: NormalEquations,
+    precision: np.ndarray,
+    rounds: int = 3,
+) -> Posterior:
+    """The posterior, with each joint weighed by its errors and by how long they persist."""
+    size, weight = len(precision), whole.rows / np.maximum(whole.energy, 1e-12 * whole.rows)
+    for k in range(rounds):
+        A, b = np.diag(precision), np.zeros(size)
+        for at, gram, moment, one in zip(whole.columns, whole.gram, whole.moment, weight, strict=True):
+            A[np.ix_(at, at)] += one * gram
+            b[at] += one * moment
+        found = Posterior(tree, terms, whole, A, b, np.diag(precision), np.zeros(tree.size))
+        if k == rounds - 1:
+            break
+        errors = np.maximum(whole.squares(found.mean), 1e-12 * whole.energy) / whole.rows
+        for j, at in enumerate(whole.columns):
+            usual = errors[j] * np.diag(whole.gram[j])
+            shown = usual > 1e-9 * usual.max()
+            of_piece = np.array([piece.moment[j] - piece.gram[j] @ found.mean[at] for piece in pieces])[:, shown]
+            weight[j] = 1 / (errors[j] * max(1.0, float(np.mean((of_piece**2).sum(axis=0) / usual[shown]))))
+    scores = np.zeros((len(pieces), size))
+    for j, at in enumerate(whole.columns):
+        scores[:, at] += [weight[j] * (piece.moment[j] - piece.gram[j] @ found.mean[at]) for piece in pieces]
+    few = len(pieces) / max(len(pieces) - 1, 1)
+    return replace(found, middle=few * scores.T @ scores + np.diag(precision))

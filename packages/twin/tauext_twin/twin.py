@@ -1,0 +1,213 @@
+"""A twin: the user's robot file with what the arm's motion showed, beside it a JSON with errors, and a page."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from tauext import _core
+from tauext.files.provenance import provenance, write_json
+from tauext.fit.prior_terms import encoder_count
+from tauext.progress import Reporter
+from tauext.robot.read import choose_joints, compiled, make_tree
+from tauext_twin.arm import Arm
+from tauext_twin.held_out import Model, rollout_errors, torque_errors, unheld
+from tauext_twin.model_file import KINDS, Drive, JointChange, body_change, given_of, write_model
+from tauext_twin.posterior import OF_LINK, VALUES, Posterior, find_posterior
+from tauext_twin.usd_file import write_usd
+
+DIFFERS = 2.0
+"""A parameter is written where it differs from the file's by this many standard errors."""
+DRAWS = 400
+"""For standard errors."""
+MISLEADS = 0.25
+"""Share of a twin's squared error that friction by load or place explains, from which a constant misleads."""
+
+
+def make_twin(arm: Arm, out: Path, draws: int, seed: int, report: Reporter) -> dict[str, Any]:
+    """Write OUT, OUT's draws, and NAME.twin.json; returns the content of the last one.
+
+    Raises:
+        TauextError: too little motion, or a file that cannot be written.
+    """
+    report.say("fitting friction, inertia and masses")
+    tree, corrected = arm.setup.tree, arm.setup.prior.corrected_links
+    posterior = find_posterior(arm.setup, arm.training, arm.terms, corrected, arm.torque_error, arm.torque_common)
+    x = posterior.off_the_file()
+    values, errors = posterior.values(x), posterior.draws(DRAWS, seed).std(axis=0)
+    in_nm = np.array([not one for one in arm.setup.observer.unknown_constant or [False] * tree.size])
+    moved: np.ndarray = np.any(posterior.theta(x)[:, : len(OF_LINK) - 1] != 0, axis=1)
+    changes = changes_of(arm, values, errors, moved, in_nm)
+    note = f"made by tauext twin {_core.__version__} from {arm.robot.name}; errors are in {side_file(out).name}"
+    write(arm, out, changes, note)
+    for k, drawn in enumerate(posterior.draws(draws, seed + 1)):
+        every = changes_of(arm, drawn, np.zeros_like(errors), np.ones(tree.size, dtype=bool), in_nm)
+        name = out.with_name(f"{out.stem}-{k:0{max(3, len(str(draws - 1)))}d}{out.suffix}")
+        write(arm, name, every, f"{note}; draw {k} of seed {seed}")
+    report.say("judging on motion that was left out")
+    content = {
+        "robot": arm.robot.name,
+        "out": out.name,
+        "joints": parameters(arm, values, errors, changes),
+        "drives": {name: vars(change.drive) for name, change in zip(arm.names, changes, strict=True) if change.drive},
+        "noise": noise(arm),
+        **judged(arm, posterior, x, changes, in_nm),
+        **provenance("tauext twin", {"draws": draws, "training": [one.name for one in arm.training]}, seed),
+    }
+    write_json(content, side_file(out))
+    return content
+
+
+def side_file(out: Path) -> Path:
+    """The JSON beside a twin."""
+    return out.with_suffix(".twin.json")
+
+
+def write(arm: Arm, out: Path, changes: list[JointChange], note: str) -> None:
+    """Write one robot file, by its ending."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if KINDS.get(out.suffix) == "USD":
+        write_usd(arm.robot, out, arm.setup.tree, changes, note)
+    else:
+        write_model(arm.robot, out, changes, note)
+
+
+def changes_of(
+    arm: Arm, values: np.ndarray, errors: np.ndarray, moved: np.ndarray, in_nm: np.ndarray
+) -> list[JointChange]:
+    """What the file gets; a parameter within its error of the file's stays.
+
+    Args:
+        values, errors: of VALUES, (n, 8).
+        moved: links whose inertial parameters change.
+        in_nm: joints whose torque is in N m, (n,): those of others stay.
+    """
+    given, drives = given_of(arm.robot, arm.setup.tree), drives_of(arm)
+    found = []
+    for j, change in enumerate(body_change(arm.robot, arm.setup.tree, values, moved & in_nm)):
+        file = np.array([given[j].damping, given[j].frictionloss, given[j].armature])
+        differs = (np.abs(values[j, :3] - file) > DIFFERS * errors[j, :3]) & in_nm[j]
+        differs[:2] = differs[:2].any()  # damping and frictionloss stand for one friction
+        damping, loss, armature = (float(v) if d else None for v, d in zip(values[j, :3], differs, strict=True))
+        if armature is not None:
+            armature = max(armature - given[j].motors, 0.0)
+        drive = drives[j] if drives else None
+        found.append(replace(change, damping=damping, frictionloss=loss, armature=armature, drive=drive))
+    return found
+
+
+def drives_of(arm: Arm) -> list[Drive]:
+    """Position drives of a servo arm, with torque constants as trained; empty without servos."""
+    servo, units = arm.bundle.servo, arm.setup.observer.nm_per_unit or [1.0] * len(arm.names)
+    if not servo.on or servo.torque_from.name not in ("goal", "duty"):
+        return []
+    return [
+        Drive(
+            kp=unit * one.nm_per_ampere * one.volts / one.ohm * one.duty_per_rad,
+            kd=unit * one.nm_per_ampere * one.back_emf_v_s / one.ohm,
+            most_nm=unit * one.nm_per_ampere * one.volts * one.most_duty / one.ohm,
+            ohm=one.ohm,
+            nm_per_ampere=unit * one.nm_per_ampere,
+        )
+        for one, unit in zip(servo.joints, units, strict=True)
+    ]
+
+
+def parameters(arm: Arm, values: np.ndarray, errors: np.ndarray, changes: list[JointChange]) -> dict[str, Any]:
+    """Each joint's parameters: value, standard error, the file's, and whether the twin's file has the value."""
+    given, found = given_of(arm.robot, arm.setup.tree), {}
+    for j, (name, link, change) in enumerate(zip(arm.names, arm.setup.tree.links, changes, strict=True)):
+        file = (given[j].damping, given[j].frictionloss, given[j].armature, link.mass, *link.com, 1.0)
+        found[name] = {
+            what: {
+                "value": float(values[j, k]),
+                "standard_error": float(errors[j, k]),
+                "file": float(file[k]),
+                "written": getattr(change, what if k < 3 else "inertial") is not None,
+            }
+            for k, what in enumerate(VALUES)
+        }
+    return found
+
+
+def noise(arm: Arm) -> dict[str, Any]:
+    """Standard deviation of each signal's noise, by joint: of third differences, which motion hardly has."""
+    found: dict[str, Any] = {"encoder_count_rad": encoder_count(arm.test)}
+    units = np.array(arm.setup.observer.nm_per_unit or [1.0] * len(arm.names))
+    for signal, scale in (("q", 1.0), ("dq", 1.0), ("tau", units)):
+        thirds = [np.abs(np.diff(getattr(one, signal), 3, axis=0)) for one in arm.test if one.samples > 3]
+        found[signal] = (1.4826 * np.median(np.concatenate(thirds), axis=0) / np.sqrt(20) * scale).tolist()
+    return found
+
+
+def changed_model(arm: Arm, changes: list[JointChange]) -> tuple[mujoco.MjModel, list[int], Model]:
+    """MuJoCo's model of the robot file with these changes, its joints in use, and the same as a Model."""
+    model = compiled(arm.robot)
+    choice = choose_joints(model, [link.joint_name for link in arm.setup.tree.links], {}, str(arm.robot))
+    given = given_of(arm.robot, arm.setup.tree)
+    dofs = model.jnt_dofadr[choice.joint_ids]
+    model.dof_frictionloss[dofs] = [one.frictionloss for one in given]
+    damping = [one.damping for one in given]
+    for j, change in enumerate(changes):
+        damping[j] = damping[j] if change.damping is None else change.damping
+        if change.frictionloss is not None:
+            model.dof_frictionloss[dofs[j]] = change.frictionloss
+        if change.armature is not None:
+            model.dof_armature[dofs[j]] = change.armature
+        if (new := change.inertial) is not None:
+            body = model.body(new.body).id
+            model.body_mass[body], model.body_ipos[body] = new.mass, new.com
+            model.body_inertia[body], model.body_iquat[body] = new.inertia, new.axes
+    model.dof_damping[dofs] = np.reshape(
+        damping, model.dof_damping[dofs].shape[:1] + (1,) * (model.dof_damping.ndim - 1)
+    )
+    tree = make_tree(model, choice.joint_ids, choice.qpos, arm.setup.tree.gravity, str(arm.robot))
+    return model, choice.joint_ids, Model(tree, np.array(damping), model.dof_frictionloss[dofs].copy())
+
+
+def judged(
+    arm: Arm, posterior: Posterior, x: np.ndarray, changes: list[JointChange], in_nm: np.ndarray
+) -> dict[str, Any]:
+    """Held-out torque and rollouts of the file as it came and of the twin, and what no simulator's joint holds."""
+    came, twin = changed_model(arm, []), changed_model(arm, changes)
+    speed = min(term.speed for of in posterior.terms for term in of if term.kind == _core.TermKind.coulomb)
+    errors, rms = torque_errors(arm, [came[2], twin[2]], speed)
+    beside = unheld(arm, posterior, x, twin[2], speed)
+    drives = drives_of(arm) if all(one.q_des is not None for one in arm.test) else []
+    rolled = [rollout_errors(arm, model, joints, drives or None) for model, joints, _ in (came, twin)]
+    by_joint: dict[str, dict[str, Any]] = {
+        name: {
+            "unit": "N m" if in_nm[j] else "recorded unit",
+            "rms": float(rms[j]),
+            "rmse_file": float(errors[0, j]),
+            "rmse_twin": float(errors[1, j]),
+            "not_held": {what: float(share[j]) for what, share in beside.items()},
+        }
+        for j, name in enumerate(arm.names)
+    }
+    misleading = [
+        f"{name}: {what} explains {share:.0%} of the twin's squared error, so that a constant friction misleads"
+        for name, one in by_joint.items()
+        for what, share in one["not_held"].items()
+        if what in ("load share", "torque ripple", "backlash") and share > MISLEADS
+    ]
+    return {
+        "torque": by_joint,
+        "warnings": misleading,
+        "rollout": {
+            "replayed": "goals" if drives else "torques",
+            "rms_end_rad": {
+                f"{window:g}": {"file": finite(rolled[0][window]), "twin": finite(rolled[1][window])}
+                for window in rolled[0]
+            },
+        },
+    }
+
+
+def finite(values: np.ndarray) -> list[float | None]:
+    """For JSON; None where it diverged."""
+    return [float(value) if np.isfinite(value) else None for value in values]

@@ -1,0 +1,113 @@
+"""A twin as USD: a stage of rigid bodies and joints, made of a URDF or MJCF."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from tauext import _core
+from tauext.errors import RobotError
+from tauext.files.atomic_write import atomic_write
+from tauext.plugins import optional_library
+from tauext.robot.read import placed_bodies
+from tauext_twin.model_file import JointChange
+
+DEGREE = math.pi / 180
+
+
+def write_usd(robot: Path, out: Path, tree: _core.Tree, changes: Sequence[JointChange], note: str) -> None:
+    """Write a stage in which each joint has `physxJoint:armature` and `physxJoint:jointFriction`, its drive a damping
+    [N m s/deg], and each body its mass.
+
+    Raises:
+        ConfigError: usd-core is not installed.
+        RobotError: the stage cannot be written.
+    """
+    usd = optional_library("pxr.Usd", "tauext twin --out *.usd", "usd-core")
+    physics = optional_library("pxr.UsdPhysics", "tauext twin --out *.usd", "usd-core")
+    try:
+        with atomic_write(out) as part:
+            made = part.with_name(f"{part.stem}{out.suffix}")  # USD chooses the format by the ending
+            stage = usd.Stage.CreateNew(str(made))
+            stage.SetMetadata("comment", note)
+            _fill(stage, physics, robot, tree, changes)
+            stage.GetRootLayer().Save()
+            made.replace(part)
+    except RuntimeError as error:  # pxr.Tf.ErrorException
+        raise RobotError(f"{out}: cannot be written as USD: {str(error).splitlines()[0]}") from error
+
+
+def _fill(stage: Any, physics: Any, robot: Path, tree: _core.Tree, changes: Sequence[JointChange]) -> None:
+    from pxr import Gf, Sdf, Tf, UsdGeom
+
+    model, joints, placed = placed_bodies(robot, tree)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    physics.SetStageKilogramsPerUnit(stage, 1.0)
+    root = UsdGeom.Xform.Define(stage, "/" + Tf.MakeValidIdentifier(robot.stem))
+    stage.SetDefaultPrim(root.GetPrim())
+    physics.ArticulationRootAPI.Apply(root.GetPrim())
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    of_body = {change.inertial.body: change.inertial for change in changes if change.inertial is not None}
+
+    def quaternion(q: Sequence[float] | np.ndarray) -> Any:
+        return Gf.Quatf(*(float(x) for x in q))
+
+    def vector(x: Sequence[float] | np.ndarray) -> Any:
+        return Gf.Vec3f(*(float(one) for one in x))
+
+    paths = {}
+    for body in [0, *(one.number for one in placed)]:
+        name = model.body(body).name or f"body{body}"
+        prim = UsdGeom.Xform.Define(stage, root.GetPath().AppendChild(Tf.MakeValidIdentifier(name)))
+        paths[body] = prim.GetPath()
+        prim.AddTranslateOp().Set(Gf.Vec3d(*data.xpos[body].tolist()))
+        prim.AddOrientOp().Set(quaternion(data.xquat[body]))
+        if body == 0:
+            continue
+        physics.RigidBodyAPI.Apply(prim.GetPrim())
+        mass, new = physics.MassAPI.Apply(prim.GetPrim()), of_body.get(name)
+        mass.CreateMassAttr(float(model.body_mass[body] if new is None else new.mass))
+        mass.CreateCenterOfMassAttr(vector(model.body_ipos[body] if new is None else new.com))
+        mass.CreateDiagonalInertiaAttr(vector(model.body_inertia[body] if new is None else new.inertia))
+        mass.CreatePrincipalAxesAttr(quaternion(model.body_iquat[body] if new is None else new.axes))
+    for j, (joint, change) in enumerate(zip(joints, changes, strict=True)):
+        body, hinge = int(model.jnt_bodyid[joint]), tree.links[j].type == _core.JointType.revolute
+        path = root.GetPath().AppendChild(Tf.MakeValidIdentifier(change.joint))
+        path = path if not stage.GetPrimAtPath(path) else path.GetParentPath().AppendChild(f"{path.name}_joint")
+        made = (physics.RevoluteJoint if hinge else physics.PrismaticJoint).Define(stage, path)
+        parent = int(model.body_parentid[body])
+        while parent not in paths:
+            parent = int(model.body_parentid[parent])
+        made.CreateBody0Rel().SetTargets([paths[parent]])
+        made.CreateBody1Rel().SetTargets([paths[body]])
+        turn = np.empty(4)
+        mujoco.mju_quatZ2Vec(turn, model.jnt_axis[joint])  # the joint's axis is the z of its frames
+        made.CreateAxisAttr("Z")
+        world, inverse, local = np.empty(4), np.empty(4), np.empty(4)
+        mujoco.mju_mulQuat(world, data.xquat[body], turn)
+        mujoco.mju_negQuat(inverse, data.xquat[parent])
+        mujoco.mju_mulQuat(local, inverse, world)
+        anchor = data.xmat[parent].reshape(3, 3).T @ (data.xanchor[joint] - data.xpos[parent])
+        made.CreateLocalPos0Attr(vector(anchor))
+        made.CreateLocalRot0Attr(quaternion(local))
+        made.CreateLocalPos1Attr(vector(model.jnt_pos[joint]))
+        made.CreateLocalRot1Attr(quaternion(turn))
+        if model.jnt_limited[joint]:
+            low, high = model.jnt_range[joint] / (DEGREE if hinge else 1.0)
+            made.CreateLowerLimitAttr(float(low))
+            made.CreateUpperLimitAttr(float(high))
+        prim = made.GetPrim()
+        prim.AddAppliedSchema("PhysxJointAPI")
+        for name, value in (("armature", change.armature), ("jointFriction", change.frictionloss)):
+            if value is not None:
+                prim.CreateAttribute(f"physxJoint:{name}", Sdf.ValueTypeNames.Float).Set(float(value))
+        if change.damping is not None:
+            drive = physics.DriveAPI.Apply(prim, "angular" if hinge else "linear")
+            drive.CreateDampingAttr(float(change.damping * (DEGREE if hinge else 1.0)))

@@ -48,6 +48,7 @@ FOLDERS = {
         "lab commission": "commission touch-labels",
         "ros2": "ros2",
         "lab fleet": "fleet like prior-content",
+        "lab twin": "twin",
         "lab": "sim mcap simulate evaluate report reproduce bench joint-picture check-pictures force network torch",
         "lerobot": (
             "lerobot lerobot-calibration label guard feetech dynamixel damiao servo-torque servo-signals backlash"

@@ -25,7 +25,7 @@ def copy_reports(app, error):
 CONTENTS = {
     "index": {
         "Start": "words install quickstarts/ur quickstarts/ros2 quickstarts/lerobot quickstarts/cpp your-robot",
-        "Guides": "data training running loop commission loads contacts servo-arms fleets troubleshooting",
+        "Guides": "data training running loop commission loads contacts servo-arms fleets twin troubleshooting",
         "Paper": "paper results/mocca",
         "Method": "method/theory method/alarms method/training method/loads-and-forces references",
         "Results": "results/index",

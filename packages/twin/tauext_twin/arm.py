@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.signal import butter, sosfiltfilt
 
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle
 from tauext.bundle.match import expect_fit
 from tauext.data.dataset import FILE_NAME, Dataset, load_dataset
 from tauext.data.free_motion import cut, free_pieces
-from tauext.data.recording import Recording
+from tauext.data.recording import Recording, fitted_period_ns, periods_of
 from tauext.errors import ConfigError
 from tauext.fit.prior_facts import SHARED
 from tauext.fit.torque_constants import ConstantsConfig
@@ -24,6 +25,8 @@ from tauext.robot.read import load_tree
 
 MOST_GAIN_PER_S = 10.0
 """Of the observer: a faster one passes more of a differentiated encoder's noise, which hides inertia."""
+MOST_HZ = 10.0
+"""Bandwidth of positions from which friction and inertia are found."""
 HELD_OUT = 0.2
 """Share of each training recording that judges the twin where the dataset has no test recordings."""
 PLACE_M, TURN = 2e-3, 2e-3
@@ -93,11 +96,32 @@ def read_arm(bundle_file: Path, robot: Path | None, data: Path | None, names: Ma
         training = [cut(one, slice(0, end)) for one, end in zip(training, ends, strict=True)]
     for recording in (*training, *test):
         expect_fit(bundle, recording)
+    training, test = [smooth(one) for one in training], [smooth(one) for one in test]
     own = [[term for term in bundle.prior.terms if term.a == j and term.kind not in SHARED] for j in range(len(joints))]
     setup = Setup(tree, observer, bundle.window_steps, bundle.prior)
     constants = facts.get("torque_constants") or {}
     error, common = torque_error(constants, joints), float(constants.get("common_share", 0.0))
     return Arm(bundle, robot, setup, joints, own, training, test, error, common, facts)
+
+
+def smooth(recording: Recording) -> Recording:
+    """A recording with even stamps, and positions and velocities without noise above MOST_HZ, without delay.
+
+    A differentiated encoder and stamps that jitter make accelerations so noisy that inertia seems smaller than it is;
+    torques stay as they are.
+    """
+    period_ns = fitted_period_ns(recording.t_ns)
+    ticks = np.r_[0.0, np.cumsum(periods_of(np.diff(recording.t_ns), period_ns))]
+    every, rate_hz = np.arange(ticks[-1] + 1), 1e9 / period_ns
+    low_pass = butter(2, min(MOST_HZ, rate_hz / 5), fs=rate_hz, output="sos")
+    if len(every) < 3 * rate_hz / MOST_HZ + 10:
+        return recording
+    filled = np.column_stack([np.interp(every, ticks, of_joint) for of_joint in recording.q.T])
+    q = sosfiltfilt(low_pass, filled, axis=0)
+    rows = ticks.astype(int)
+    dq = np.gradient(q, 1 / rate_hz, axis=0)[rows]
+    t_ns = recording.t_ns[0] + np.round(ticks * period_ns).astype(np.int64)
+    return replace(recording, t_ns=t_ns, q=np.ascontiguousarray(q[rows]), dq=np.ascontiguousarray(dq))
 
 
 def find_dataset(bundle_file: Path, facts: Mapping[str, Any]) -> Dataset:

@@ -119,8 +119,8 @@ def test_values_lie_within_their_errors_of_the_arm_that_moved(made):
     for truth, what in ((damping, "damping"), (loss, "frictionloss"), (ROTORS, "armature")):
         found = np.array([[one[what]["value"], one[what]["standard_error"]] for one in joints]).T
         assert all(one[what]["written"] for one in joints)
-        # Three standard errors, and 8 %: what comes closest depends on how samples near zero speed count, and changes of
-        # links are linear, while the ball adds its mass times the square of its distance, 0.01 kg m^2.
+        # Three standard errors, and 8 %: what comes closest depends on how samples near zero speed count, and a link's
+        # change is linear, while the ball adds its mass times the square of its distance, 0.01 kg m^2.
         np.testing.assert_array_less(np.abs(found[0] - truth), 3 * found[1] + 0.08 * np.abs(truth), err_msg=what)
         assert (found[1] < 0.2 * np.abs(truth)).all(), what
     first, _, last = joints

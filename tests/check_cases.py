@@ -456,7 +456,7 @@ FAULTS = [
     Fault("unlabelled pushes of 2 s", "contact-in-free-motion", None,
           lambda c: each(c, lambda r, k: pushed(r, k, 2.0, 0.3))),
     Fault("base tilted by 40 degrees", "gravity-direction", None, tilted, follows=("odd-recording",), planar=False),
-    Fault("a tool that is not in the model", "payload", None, loaded, "a load that the model lacks"),
+    Fault("a tool that is not in the model", "payload", None, loaded, "a payload that the model lacks"),
     Fault("a limit of position too narrow", "beyond-limit", J,
           lambda c: file_text(c, r'lower="[^"]*" upper="[^"]*"', 'lower="-0.3" upper="0.3"'), "positions from"),
     Fault("a limit of effort too low", "beyond-limit", J, lambda c: file_text(c, r'effort="[^"]*"', 'effort="1"'),

@@ -318,7 +318,8 @@ def test_coarse_current_that_rests_on_a_level_is_not_stuck():
 
 def test_a_tool_taken_off_is_less_load(six, tmp_path):
     lighter = with_load(six.tree, np.array([-0.7 * six.tree.links[-1].mass, 0, 0, 0]))
-    assert any(f.code == "payload" and "less load" in f.evidence for f in examine(six.anew(lighter), six.urdf).findings)
+    found = examine(six.anew(lighter), six.urdf).findings
+    assert any(f.code == "payload" and "less payload" in f.evidence for f in found)
 
 
 def test_load_of_least_squares_is_the_load_that_was_mounted(six):

@@ -17,7 +17,7 @@ from tauext.check.effort import SignVote
 from tauext.check.examination import Examination
 from tauext.check.examine import examine
 from tauext.check.finding import Finding
-from tauext.check.joint_fit import rows_of
+from tauext.check.joint_fit import COULOMB_SPEEDS_RAD_S, PRESLIDING_RAD, FitRows, fit_joint, presliding, rows_of
 from tauext.check.motion import stretches
 from tauext.check.robot_file import with_load
 from tauext.check.torque_changes import growth_findings, often_disturbed, step_findings
@@ -255,4 +255,28 @@ def test_what_friction_holds_in_long_rests_is_no_growth(longer, rests, grown):
     if rests:
         dq[off, J] = 0.0
     x.rows = replace(rows, tau=tau, dq=dq)
+    assert [x.joints.index(one.joint) for one in growth_findings(x)] == grown
+
+
+def moves_between_rests(moves: int, growth_a_s: float, seed: int) -> FitRows:
+    """Rows at 10 Hz of a chain of seven joints that moves for 2.8 s of every 10 s, under gravity and friction."""
+    rng, time_s = np.random.default_rng(seed), np.arange(0, 10.0 * moves, 0.1)
+    poses, move = rng.uniform(-1.2, 1.2, (moves + 1, 7)), (time_s // 10.0).astype(int)
+    done = np.clip(time_s % 10.0 / 2.8, 0, 1)[:, None]
+    q = poses[move] + (poses[move + 1] - poses[move]) * (3 * done**2 - 2 * done**3)
+    dq, none = np.gradient(q, 0.1, axis=0), np.zeros_like(q)
+    gravity = np.sin(np.cumsum(q, axis=1)) @ rng.normal(size=(7, 7))
+    friction = [np.ones_like(q), dq, *(np.tanh(dq / speed) for speed in COULOMB_SPEEDS_RAD_S)]
+    friction += list(np.moveaxis(presliding(q, PRESLIDING_RAD, 10.0), 2, 0))
+    tau = gravity + 0.3 * np.tanh(dq / 0.05) + growth_a_s * time_s[:, None]
+    of_motion = (none, none, np.gradient(dq, 0.1, axis=0), np.stack(friction, axis=2))
+    return FitRows(time_s, np.zeros(len(time_s), int), q, dq, tau, *of_motion)
+
+
+@pytest.mark.parametrize(("moves", "growth_a_s", "grown"), [(14, 0.0, []), (60, 0.04, [0, 1])])
+def test_a_few_moves_between_rests_show_no_growth_without_a_model(longer, moves, growth_a_s, grown):
+    """Sines of seven joints follow the errors of gravity in fourteen moves, and the time with them."""
+    x = Examination(longer[2])
+    x.rows = moves_between_rests(moves, growth_a_s, seed=5)
+    x.fits = [fit_joint(x.rows, j) for j in (0, 1)]
     assert [x.joints.index(one.joint) for one in growth_findings(x)] == grown

@@ -122,12 +122,12 @@ def test_a_live_monitor_obeys_a_line_and_reports_what_was_found(arm):
 
     keeper = Keeper(ask)
     Loop(bundle, ScriptedSource(samples_of(picks, slice(0, SAMPLES))), [keeper]).run()
-    assert said[0].startswith("error: a load can be expected for 60 s") and said[1] == "ok"
+    assert said[0].startswith("error: a payload can be expected for 60 s") and said[1] == "ok"
     told = [change for change in keeper.changes if isinstance(change, FoundLoad)]
     assert 1 <= len(told) <= 4 and told[-1].mass_kg == pytest.approx(MASS, abs=2 * told[-1].error_kg)
     assert PICKED < told[0].row < PICKED + 1000
     assert all(verdict.estimates["alarm"][0] == 0 for verdict in keeper.verdicts)
-    assert told[0].words(())[0].startswith("the expected load was picked up: carries 1.")
+    assert told[0].words(())[0].startswith("the expected payload was picked up: carries 1.")
     assert "carries nothing" in FoundLoad(0, 0, 0.0, 0.1).words(())[0]
 
 
@@ -141,7 +141,7 @@ def test_a_profile_says_what_is_expected(arm, tmp_path):
     Loop(bundle, ScriptedSource(samples_of(picks, slice(0, PICKED + 800))), [keeper], profiles=profiles).run()
     assert any(isinstance(change, FoundLoad) for change in keeper.changes)
     path.write_text(text + "expect = { seconds = 99, at_most = 3.0 }\n")
-    with pytest.raises(ConfigError, match="profile grasping: a load can be expected for 60 s"):
+    with pytest.raises(ConfigError, match="profile grasping: a payload can be expected for 60 s"):
         Loop(bundle, ScriptedSource([]), profiles=load_cell(path, picks.joints).profiles)
     path.write_text(text + "expect = { seconds = 2 }\n")
     with pytest.raises(ConfigError, match="at_most is missing"):

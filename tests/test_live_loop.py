@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import threading
+import tomllib
 from dataclasses import replace
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from made_bundles import JOINTS, pushed, taking_amperes, watching_bundle
 from made_live import AllAtOnce, Clock, Keeper, Replayed, ScriptedSource, samples_of
@@ -13,9 +16,11 @@ from made_results import run_command
 
 from tauext import _core
 from tauext.bundle.estimates import COLLISION, FAULT, OK, STALE
+from tauext.bundle.match import expect_fit
 from tauext.cli.text_lines import TextLines
-from tauext.data.recording_file import load_recording
-from tauext.data.servo import in_amperes
+from tauext.data.description import load_arm
+from tauext.data.recording_file import load_recording, save_recording
+from tauext.data.servo import in_amperes, servo_facts
 from tauext.errors import ConfigError, TauextError
 from tauext.files.plain_file import number_of
 from tauext.monitor.cell_file import load_cell
@@ -673,6 +678,54 @@ def test_recordings_of_currents_stay_currents(tmp_path):
     kept = load_recording(next(tmp_path.iterdir()))
     np.testing.assert_array_equal(kept.tau, recording.tau)
     assert in_amperes([kept])  # training finds their constants anew
+
+
+@pytest.mark.parametrize(("unit", "constant"), [("A", "unknown"), ("Nm", ())])
+def test_a_new_description_of_a_monitor_s_recordings_has_what_they_state(unit, constant, tmp_path, capsys):
+    recording, bundle = pushed(seconds=12.0, pushes=()), watching_bundle()
+    if unit == "A":
+        bundle = taking_amperes(bundle, np.array([2.0, -0.5]))
+    looped(bundle, ScriptedSource(samples_of(recording)), RecordSink(tmp_path, settings_of(bundle), "script"))
+    (written,) = tmp_path.iterdir()
+    metadata = pq.read_schema(written).metadata
+    assert json.loads(metadata[b"units"])["tau"] == {"A": "A", "Nm": "N m"}[unit]
+    arm = tmp_path / "arm.toml"
+    assert run_command(capsys, "import", "--new", arm, "--source", written)[0] == 0
+    described = load_arm(arm)  # nothing is left to confirm
+    tau = described.signals["tau"]
+    assert (tau.unit, tau.torque_constant, tau.timing) == (unit, constant, "held")
+    assert described.robot.joints == JOINTS
+    arm.write_text(f'{arm.read_text()}\n[split]\ntrain = ["{written.name}"]\n')
+    code, _, err = run_command(capsys, "import", "--arm", arm, "--source", written, "--out", tmp_path / "data")
+    assert code == 0, err
+    for one in map(load_recording, (tmp_path / "data").glob("*.parquet")):
+        expect_fit(bundle, one)
+        np.testing.assert_array_equal(one.tau, recording.tau[np.isin(recording.t_ns, one.t_ns)])
+
+
+def test_a_new_description_takes_joints_of_any_name_from_the_recording(tmp_path, capsys):
+    """Names that elsewhere are goals, units, axes or sides of a gear."""
+    for joints in (("d", "des"), ("x", "y"), ("motor", "link"), ("rad", "deg"), ("1", "2")):
+        path, arm = tmp_path / f"{joints[0]}.parquet", tmp_path / f"{joints[0]}.toml"
+        save_recording(replace(pushed(seconds=0.1, pushes=()), joints=joints), path)
+        assert run_command(capsys, "import", "--new", arm, "--source", path)[0] == 0
+        assert load_arm(arm).robot.joints == joints
+
+
+def test_a_new_description_of_computed_torques_asks_for_the_servos_settings(tmp_path, capsys):
+    recording = pushed(seconds=0.1, pushes=())
+    for name in ("supply-current", "torque"):
+        settings = _core.ServoSettings(
+            getattr(_core.TorqueFrom, name.replace("-", "_")), [_core.ServoConstants()] * 2, 10, 1_000_000
+        )
+        facts = {"servo": servo_facts(settings)}
+        path, arm = tmp_path / f"{name}.parquet", tmp_path / f"{name}.toml"
+        save_recording(replace(recording, current=recording.tau, q_des=recording.q, provenance=facts), path)
+        assert run_command(capsys, "import", "--new", arm, "--source", path)[0] == 0
+        described = tomllib.loads(arm.read_text())
+        assert described["servo"]["torque_from"] == f"?{name}"
+        assert ("tau" in described["signals"]) == (name == "torque")
+        assert described["signals"]["dq"]["columns"] == ""
 
 
 def test_a_name_of_a_source_becomes_one_of_a_file():

@@ -216,7 +216,7 @@ def test_what_is_refused_says_why_and_changes_nothing(arm):
         ({"mass": 1e3}, r"mass = 1000 kg must be at most"),
         ({"mass": float("nan")}, "not finite"),
         ({"mass": 1.0, "com": [0, 0, 9.0]}, "9 m from the origin of tool0"),
-        ({"mass": 1.0, "inertia": [0.1, 0.1, 0.3, 0, 0, 0]}, "no body has the load's inertia"),
+        ({"mass": 1.0, "inertia": [0.1, 0.1, 0.3, 0, 0, 0]}, "no body has the payload's inertia"),
         ({"mass": 1.0, "error_share": 2.0}, "error_share = 2 must be 0 to 1"),
     ):
         with pytest.raises(_core.CoreError, match=message):
@@ -325,8 +325,8 @@ def test_flights_know_what_the_arm_was_taken_to_carry(arm, tmp_path, capsys):
         max((tmp_path / "f").glob("*collision.parquet"), key=lambda path: path.stat().st_mtime_ns)
     )  # of the alarm after the load was taken off too early
     assert [(one["t_ns"], one["mass_kg"]) for one in flight.facts["loads"]][-1] == (4_000_000_000, 0.0)
-    assert any("The load of the arm was set to" in line and "on nothing" in line for line in flight.explanation)
-    assert any("fit a load of 1.9" in line for line in flight.explanation)
+    assert any("The payload of the arm was set to" in line and "on nothing" in line for line in flight.explanation)
+    assert any("fit a payload of 1.9" in line for line in flight.explanation)
     assert dict(facts(flight))["carried"].endswith("s on") and "1.9 kg" in dict(facts(flight))["carried"]
 
 
@@ -349,7 +349,7 @@ def test_a_live_monitor_obeys_lines_and_profiles(arm, tmp_path):
     profiles = load_cell(tmp_path / "cell.toml", free.joints).profiles
     loop = Loop(bundle, ScriptedSource(samples_of(free, slice(0, 5000))), [keeper], profiles=profiles)
     loop.run()
-    assert said[0].startswith("error: the load's mass = 99 kg") and said[1] == "ok"
+    assert said[0].startswith("error: the payload's mass = 99 kg") and said[1] == "ok"
     told = [change for change in keeper.changes if isinstance(change, LoadChange)]
     assert [(one.row, one.load.mass, one.by) for one in told] == [
         (PICKED + 301, 1.9, "a line"),
@@ -363,7 +363,7 @@ def test_a_profile_with_a_load_that_the_bundle_refuses_is_refused_at_the_start(a
     bundle, free, _ = arm
     text = "[profiles]\nlowest = 1.0\nhighest = 3.0\n[profiles.heavy]\nload = { mass = 99.0, com = [0, 0, 0.1] }\n"
     (tmp_path / "cell.toml").write_text(text)
-    with pytest.raises(ConfigError, match="profile heavy: the load's mass = 99 kg"):
+    with pytest.raises(ConfigError, match="profile heavy: the payload's mass = 99 kg"):
         Loop(bundle, ScriptedSource([]), profiles=load_cell(tmp_path / "cell.toml", free.joints).profiles)
     (tmp_path / "cell.toml").write_text(text.replace("com =", "centre ="))
     with pytest.raises(ConfigError, match=r"\[profiles.heavy.load\] unknown key 'centre'"):
@@ -468,4 +468,4 @@ def test_a_joint_in_amperes_does_not_forbid_loads_and_its_limit_rises_by_all_tha
     assert shows.max() > 0.1 and np.abs(said["doubt"][late, :5]).max() < 1e-9
     without_constants(less, [2, 3, 4, 5]).assume_load()
     assert less.load_settings.refused.startswith("only 2 of 6 joints in N m")
-    assert less.load_settings.refused.endswith("and a mass weighs newtons")
+    assert less.load_settings.refused.endswith("and the pull of a mass is in newtons")

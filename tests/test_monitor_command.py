@@ -78,7 +78,7 @@ def test_lines_of_text_end_with_a_summary(place, capsys):
         "COLLISION shoulder: |tau_ext|",
         "collision acknowledged",
         "reaction note to the collision of elbow: began ",
-        "flight: flights/replay-pushed-2.015s-collision.parquet",
+        "event log: flights/replay-pushed-2.015s-collision.parquet",
         "source        6,000 received, none lost",
         "alarms        contact shoulder 1, elbow 1; collision shoulder 1, elbow 1; 2 acknowledged",
         "event logs    2 written to flights",

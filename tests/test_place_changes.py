@@ -366,5 +366,5 @@ def test_a_frame_that_there_is_none_is_refused_with_those_that_there_are(bundle)
         PlaceFinder(bundle, "hand")
     bare = type(bundle)()
     bare.links = bundle.links
-    with pytest.raises(ConfigError, match="no force can be estimated: the bundle does not say how wrong"):
+    with pytest.raises(ConfigError, match="no force can be estimated: the bundle has no error scale"):
         PlaceFinder(bare, "joint7")

@@ -293,6 +293,10 @@ FILE_FAULTS = {
     "unknown column": (extra("tau_wrist"), "column 'tau_wrist' does not belong to a recording"),
     "column twice": (extra("q_elbow"), "column 'q_elbow' occurs 2 times"),
     "degrees": (with_unit("q", "deg"), "the unit of q is 'deg', must be 'rad'"),
+    "amperes of known constants": (
+        metadata(units='{"t": "ns", "q": "rad", "dq": "rad/s", "tau": "A"}'),
+        "the unit of tau is 'A', must be 'N m'",
+    ),
     "no torque unit": (metadata(units='{"t": "ns", "q": "rad", "dq": "rad/s"}'), "the unit of tau is 'missing'"),
     "units text": (metadata(units="rad"), "metadata 'units' is not JSON"),
     "units list": (metadata(units="[1]"), "metadata 'units' is [1], must be a JSON object"),

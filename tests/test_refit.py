@@ -174,7 +174,7 @@ def test_limits_and_sigma_grow_with_the_error_that_is_left_and_never_shrink(fitt
 
 def test_signals_that_are_not_of_this_arm_are_refused(fitted):
     bundle, made = fitted[0], day()
-    with pytest.raises(TrainingError, match="friction does not explain is .* another load or tool"):
+    with pytest.raises(TrainingError, match="friction does not explain is .* another payload or tool"):
         refitted(bundle, replace(made, tau=10 * made.tau))
     with pytest.raises(TrainingError, match="its friction would be .* times the old one.*in its unit"):
         refitted(bundle, day(coulomb=0.05, viscous=0.05))

@@ -203,7 +203,7 @@ def test_a_frame_where_no_joint_feels_a_weight_tells_no_mass(tmp_path, arm, free
     command = [*saved(tmp_path, bundle, loaded_motion), "--frame", "joint1"]
     assert main(command) == 0
     assert capsys.readouterr().out.startswith(
-        "no weight is visible there: gravity never pulls a load at the link of joint1"
+        "no weight is visible there: gravity never pulls a payload at the link of joint1"
     )
     assert main([*command, "--known-kg", "1.6"]) == 2
     assert "cannot set torque constants: no weight is visible there" in capsys.readouterr().err
@@ -273,7 +273,7 @@ def test_each_verdict_has_its_sentence(arm, free_motion, loaded_motion):
     lighter = made_motion(carrying(arm, phi_of(-0.5, COM)), 0.2, pieces=1, seed=5, drive=QUIET).recordings[0]
     contact = "this does not turn as gravity would: a constant force of (20."
     cases = [
-        (free_motion, 0.3, "nothing", "no load is visible"),
+        (free_motion, 0.3, "nothing", "no payload is visible"),
         (pushed(arm, free_motion, np.array([20.0, 5.0, 0.0])), 0.3, "contact", contact),
         (lighter, 0.3, "lifts", "the estimated force pulls up, as 0.5"),
         (loaded_motion, 0.03, "load", "(--reach-m)"),
@@ -573,7 +573,7 @@ def test_the_command_says_what_is_carried(tmp_path, arm, loaded_motion, free_mot
     facts = json.loads(capsys.readouterr().out)
     assert facts["verdict"] == "load" and abs(facts["mass_kg"] - MASS) < 0.1 and facts["seconds"] < 5.1
     assert main([*command, "--frame", "hand"]) == 2
-    assert "must be the joint whose link carries the load, of joint1" in capsys.readouterr().err
+    assert "must be the joint whose link carries the payload, of joint1" in capsys.readouterr().err
     assert main([*command, "--out", str(tmp_path / "x.tauext")]) == 2
     assert "need --known-kg" in capsys.readouterr().err
     assert main([*command, "--from", "500"]) == 2
@@ -658,7 +658,7 @@ def flight_of(bundle: _core.Bundle, recording: Recording) -> Flight:
 
 def said(bundle: _core.Bundle, flight: Flight, recording: Recording) -> list[str]:
     text = explain(flight, rows_kept(flight), FlightSource.of(bundle, recording))
-    return [line for line in text.splitlines() if "fit a load" in line]
+    return [line for line in text.splitlines() if "fit a payload" in line]
 
 
 def test_what_came_on_as_a_load_is_weighed_from_the_second_behind_the_alarm(arm, free_motion):
@@ -689,6 +689,6 @@ def test_nobody_weighs_in_another_unit_or_without_the_bundle(arm, free_motion):
     bundle, motion = bundle_of(arm, free_motion), with_load(arm, free_motion, 2.2)
     flight, source = flight_of(bundle, motion), FlightSource.of(bundle, motion)
     kept = rows_kept(flight)
-    assert "fit a load" in explain(flight, kept, source)
+    assert "fit a payload" in explain(flight, kept, source)
     without_constants(bundle, range(6))
-    assert "fit a load" not in explain(flight, kept, FlightSource.of(bundle, motion))
+    assert "fit a payload" not in explain(flight, kept, FlightSource.of(bundle, motion))

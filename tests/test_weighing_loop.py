@@ -38,10 +38,10 @@ def settable(bundle: _core.Bundle) -> _core.Bundle:
 
 def test_where_nothing_can_be_weighed_says_why(arm, recordings):
     bundle = bundle_of(arm, recordings["free"])
-    with pytest.raises(_core.CoreError, match="reach of a load = 0 m must be above 0"):
+    with pytest.raises(_core.CoreError, match="reach of a payload = 0 m must be above 0"):
         _core.Monitor(settable(bundle)).start_weighing(0.0)
     bundle.load_settings = _core.LoadSettings()
-    with pytest.raises(_core.CoreError, match="no load can be weighed: the bundle names no frame for a load"):
+    with pytest.raises(_core.CoreError, match="no payload can be identified: the bundle names no frame for a payload"):
         _core.Monitor(bundle).start_weighing()
 
 
@@ -63,7 +63,7 @@ def test_a_live_monitor_weighs_when_a_line_asks(arm, recordings, capsys):
     keeper = Keeper(ask)
     loop = Loop(bundle, ScriptedSource(samples_of(loaded, slice(0, 800))), [keeper])
     loop.run()
-    rule = "must be 0.001 to 100 m, how far away a load's centre of mass may be"
+    rule = "must be 0.001 to 100 m, how far away a payload's centre of mass may be"
     assert said[:3] == [f"error: reach = {float(reach)} {rule}" for reach in unreachable]
     choices = "must be `reach=METRES`, `report`, `stop` or nothing"
     assert said[3:6] == [f"error: weigh: {text!r} {choices}" for text in ("reach=nan", "reach=far", "now")]
@@ -83,5 +83,5 @@ def test_a_live_monitor_weighs_when_a_line_asks(arm, recordings, capsys):
     assert facts["found"]["verdict"] == "load" and json.loads(json.dumps(facts)) == facts
     assert facts["load"]["mass_kg"] == told[2].found.load.mass and 0 < facts["load"]["error_share"] <= 1
     bundle.load_settings = _core.LoadSettings()
-    with pytest.raises(ConfigError, match="the bundle names no frame for a load"):
+    with pytest.raises(ConfigError, match="the bundle names no frame for a payload"):
         Loop(bundle, ScriptedSource([])).weigh("start", "test")

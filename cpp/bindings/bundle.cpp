@@ -45,7 +45,7 @@ void bind_error_settings(nb::module_& m) {
       .value("arm_acceleration", MotionFeature::arm_acceleration)
       .value("arm_jerk", MotionFeature::arm_jerk);
   nb::class_<ErrorScaleSettings>(m, "ErrorScaleSettings",
-      "How limits and standard error grow with the motion; no features: constant limits.")
+      "How thresholds and standard error grow with the motion; no features: constant thresholds.")
       .def(nb::init<>())
       .def_rw("features", &ErrorScaleSettings::features)
       .def_rw("limit_weights", &ErrorScaleSettings::limit_weights)
@@ -54,11 +54,11 @@ void bind_error_settings(nb::module_& m) {
       .def_rw("sigma_near_weights", &ErrorScaleSettings::sigma_near_weights)
       .def_rw("largest_sigma", &ErrorScaleSettings::largest_sigma)
       .def_prop_ro("on", &ErrorScaleSettings::on, "Whether there is a standard error.")
-      .def_prop_ro("follows", &ErrorScaleSettings::follows, "Whether limits and standard error follow the motion.");
+      .def_prop_ro("follows", &ErrorScaleSettings::follows, "Whether thresholds and standard error follow the motion.");
 }
 
 void bind_load_settings(nb::module_& m) {
-  nb::class_<Load>(m, "Load", "A rigid body in the axes of the load frame; mass 0: no load.")
+  nb::class_<Load>(m, "Load", "A rigid body in the axes of the load frame; mass 0: no payload.")
       .def(
           "__init__",
           [](Load* load, double mass, const std::array<double, 3>& com, const std::array<double, 6>& inertia,
@@ -70,10 +70,10 @@ void bind_load_settings(nb::module_& m) {
       .def_ro("mass", &Load::mass, "Mass, [kg].")
       .def_ro("com", &Load::com, "Centre of mass, [m].")
       .def_ro("inertia", &Load::inertia, "Inertia about the centre of mass, xx, yy, zz, xy, xz, yz, [kg m^2].")
-      .def_ro("error_share", &Load::error_share, "Relative error of its torques: limits rise by this share of them.")
+      .def_ro("error_share", &Load::error_share, "Relative error of its torques: thresholds rise by this share of them.")
       .def("__eq__", [](const Load& a, const Load& b) { return a == b; }, nb::is_operator(),
            nb::sig("def __eq__(self, other: object, /) -> bool"));
-  nb::class_<LoadSettings>(m, "LoadSettings", "Where a load is fixed, and which loads are accepted; see load.hpp.")
+  nb::class_<LoadSettings>(m, "LoadSettings", "Where a payload is fixed, and which payloads are accepted; see load.hpp.")
       .def(nb::init<>())
       .def_rw("frame", &LoadSettings::frame, "Name of the load frame.")
       .def_rw("link", &LoadSettings::link, "Index of the link that the frame is fixed to; -1: none.")
@@ -82,12 +82,12 @@ void bind_load_settings(nb::module_& m) {
       .def_rw("largest_mass_kg", &LoadSettings::largest_mass_kg, "Largest accepted mass, [kg].")
       .def_rw("largest_reach_m", &LoadSettings::largest_reach_m,
            "Largest accepted distance of the centre of mass from the frame's origin, [m].")
-      .def_rw("refused", &LoadSettings::refused, "Reason for which no load can be set; empty: loads are accepted.")
-      .def_prop_ro("settable", &LoadSettings::settable, "Whether a load can be set at all.")
+      .def_rw("refused", &LoadSettings::refused, "Reason for which no payload can be set; empty: payloads are accepted.")
+      .def_prop_ro("settable", &LoadSettings::settable, "Whether a payload can be set at all.")
       .def("why_not", [](const LoadSettings& s, const Load& load) { return s.words(s.fault(load), load); },
-           nb::arg("load"), "Reason for which this load is refused; empty: accepted.")
+           nb::arg("load"), "Reason for which this payload is refused; empty: accepted.")
       .def("merged", [](const LoadSettings& s, const Load& load, const Link& link) { return s.merged(load, link); },
-           nb::arg("load"), nb::arg("link"), "The link and the load as one body.");
+           nb::arg("load"), nb::arg("link"), "The link and the payload as one body.");
 }
 
 std::vector<std::pair<int, int>> input_pairs(const std::vector<LstmInput>& inputs) {
@@ -114,7 +114,7 @@ void bind_member(nb::class_<Bundle>& bundle, const char* name, Part Bundle::*par
 void bind_level(nb::class_<Bundle>& cls, const std::string& prefix, Level Limits::*level) {
   const std::string what = prefix.empty() ? "collision" : "contact";
   const auto limit = [&what](const std::string& where) {
-    return "Limit of |tau_ext| per joint for a " + what + " " + where +
+    return "Threshold of |tau_ext| per joint for a " + what + " " + where +
            ", [N m]; in usual motion if there is an error scale.";
   };
   cls.def_prop_rw(
@@ -129,7 +129,7 @@ void bind_level(nb::class_<Bundle>& cls, const std::string& prefix, Level Limits
       .def_prop_rw(
           (prefix + "hold_s").c_str(), [level](const Bundle& b) { return (b.limits.*level).hold_s; },
           [level](Bundle& b, double v) { (b.limits.*level).hold_s = v; },
-          ("Time above its limit after which a joint raises a " + what + ", [s]; 0: at the first sample.").c_str());
+          ("Time above its threshold after which a joint raises a " + what + ", [s]; 0: at the first sample.").c_str());
 }
 
 void bind_settings(nb::class_<Bundle>& bundle) {
@@ -143,7 +143,7 @@ void bind_settings(nb::class_<Bundle>& bundle) {
       .def_rw("shape", &Bundle::shape, "Inputs, hidden units and outputs of the network; hidden = 0: no network.")
       .def_rw("units", &Bundle::units,
               "Units of the input tau and of the estimates; torque_units and estimate_units are their names.")
-      .def_rw("load_settings", &Bundle::load, "Load frame, and bounds on loads.")
+      .def_rw("load_settings", &Bundle::load, "Load frame, and bounds on payloads.")
       .def_rw("wrench_settings", &Bundle::wrench, "Error model of forces and moments at frames.")
       .def_rw("capsules", &Bundle::capsules, "Shapes of the links, from the robot file; empty: none.")
       .def_rw("servo", &Bundle::servo, "Computation of dq and tau from servo signals, before the chain; may be off.")
@@ -163,7 +163,7 @@ void bind_settings(nb::class_<Bundle>& bundle) {
       .def_rw("prior", &Bundle::prior, "Prior of r: terms and their weights; no terms: no prior.")
       .def_rw("drift", &Bundle::drift, "Settings of the tracker of slow changes; time_constant_s = 0: no tracker.")
       .def_rw("error_scale", &Bundle::error_scale,
-              "How limits and standard error follow the motion; no features: constant limits.")
+              "How thresholds and standard error follow the motion; no features: constant thresholds.")
       .def_rw("coverage", &Bundle::coverage,
               "Motion of the training recordings; empty: unknown, and all motion is familiar.")
       .def_rw("output_scale_nm", &Bundle::output_scale_nm,
@@ -180,7 +180,7 @@ void bind_facts(nb::class_<Bundle>& bundle) {
             for (int j = 0; j < b.joints(); ++j) all.push_back(b.limits.monitors(j));
             return all;
           },
-          "Whether each joint can raise an alarm; one that never moved in training has infinite limits and cannot.")
+          "Whether each joint can raise an alarm; one that never moved in training has infinite thresholds and cannot.")
       .def_prop_ro(
           "in_newtons",
           [](const Bundle& b) {
@@ -188,11 +188,11 @@ void bind_facts(nb::class_<Bundle>& bundle) {
             for (int j = 0; j < b.joints(); ++j) out.push_back(b.in_newtons(j));
             return out;
           },
-          "Per joint: whether its estimates are in N m, N or W. Only these joints are used for loads and forces.")
+          "Per joint: whether its estimates are in N m, N or W. Only these joints are used for payloads and forces.")
       .def("too_few_in_newtons", &Bundle::too_few_in_newtons, nb::arg("why"),
            "Empty if enough joints are in N m; else a sentence that ends with `why`.")
       .def_prop_ro("most_units_per_nm", &Bundle::most_units_per_nm,
-                   "Per joint: bound on the change of its estimate, in its own unit, per N m of a load; 0 for joints in N m.")
+                   "Per joint: bound on the change of its estimate, in its own unit, per N m of a payload; 0 for joints in N m.")
       .def_prop_ro("torque_units", [](const Bundle& b) { return units(b, &Bundle::torque_unit); },
                    "Unit of the input tau, per joint.")
       .def_prop_ro("estimate_units", [](const Bundle& b) { return units(b, &Bundle::estimate_unit); },
@@ -205,20 +205,20 @@ void bind_facts(nb::class_<Bundle>& bundle) {
           },
           "Position of each joint at the reference's first sample, [rad] or [m]; empty: no reference.")
       .def_prop_ro("model_digest", &model_digest,
-                   "Checksum of all that tau_ext is made of, drift excluded; bundles that differ in limits alone have the same.");
+                   "Checksum of all that tau_ext is made of, drift excluded; bundles that differ in thresholds alone have the same.");
 }
 
 void bind_limits(nb::class_<Bundle>& bundle) {
   bind_level(bundle, "", &Limits::collision);
   bind_level(bundle, "contact_", &Limits::contact);
   bind_member(bundle, "contact_release_s", &Bundle::limits, &Limits::contact_release_s,
-              "A contact ends when every joint has been below its contact limit for this time, [s].");
+              "A contact ends when every joint has been below its contact threshold for this time, [s].");
   bind_member(bundle, "near_memory_s", &Bundle::limits, &Limits::near_memory_s,
               "Time after the start of sliding for which a joint counts as near stiction, [s].");
   bind_member(bundle, "after_contact_factor", &Bundle::limits, &Limits::after_contact_factor,
-              "Factor on the limits of a joint that was pushed while stuck, until it has slid; 1: none.");
+              "Factor on the thresholds of a joint that was pushed while stuck, until it has slid; 1: none.");
   bind_member(bundle, "declared_spread", &Bundle::limits, &Limits::declared_spread,
-              "Standard errors by which what a declared contact explains may be wrong.");
+              "Standard errors by which what an expected contact explains may be wrong.");
   bind_member(bundle, "region_width", &Bundle::limits, &Limits::region_width,
               "Index of the presliding width that, beside the speed, defines near stiction; -1: speed only.");
   bind_member(bundle, "near_stiction_rad_s", &Bundle::limits, &Limits::near_stiction_rad_s,
@@ -236,7 +236,7 @@ void bind_limits(nb::class_<Bundle>& bundle) {
 }
 
 void bind_reference(nb::class_<Bundle>& bundle) {
-  bundle.def("assume_load", &Bundle::assume_load, "Sets the default load settings; see bundle.hpp.")
+  bundle.def("assume_load", &Bundle::assume_load, "Sets the default payload settings; see bundle.hpp.")
       .def(
           "drop_network",
           [](Bundle& b) {

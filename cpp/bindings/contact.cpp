@@ -29,7 +29,7 @@ std::string repr(const NamedContact& c) {
 void bind_tool_force(nb::module_& m) {
   nb::class_<FrameToolForce>(m, "ToolForce", "The force at the tool as a sensor would measure it; see Monitor.tool_force().")
       .def_ro("wrench", &FrameToolForce::at, "Force and moment with covariance; known is false without a tool's frame or torques.")
-      .def_ro("declared", &FrameToolForce::declared, "Whether a declared contact at a frame is in effect.")
+      .def_ro("declared", &FrameToolForce::declared, "Whether an expected contact at a frame is in effect.")
       .def_ro("motion_n", &FrameToolForce::motion_n, "Standard error of the force along itself by errors of free motion, [N].")
       .def_ro("rest_n", &FrameToolForce::rest_n, "The same by friction that resting joints hide, and by lag, [N].")
       .def_ro("constants_n", &FrameToolForce::constants_n, "The same by torque constants and gear friction under the load, [N].");
@@ -39,9 +39,9 @@ void bind_tool_force(nb::module_& m) {
 
 DeclaredContact contact_of(const WrenchModel& model, const NamedContact& named) {
   DeclaredContact contact = named;
-  if (named.frame_name.empty() == named.joint_name.empty()) throw Error("a declared contact needs a frame or a joint, and not both");
+  if (named.frame_name.empty() == named.joint_name.empty()) throw Error("an expected contact needs a frame or a joint, and not both");
   if (!named.frame_name.empty()) {
-    if (!model.refused().empty()) throw Error("no contact at a frame can be declared: " + model.refused());
+    if (!model.refused().empty()) throw Error("no contact at a frame can be expected: " + model.refused());
     contact.frame = frame_of(model, named.frame_name);
     return contact;
   }
@@ -51,13 +51,13 @@ DeclaredContact contact_of(const WrenchModel& model, const NamedContact& named) 
     if (name == named.joint_name) contact.joint = static_cast<int>(j);
     known += (j ? ", " : "") + name;
   }
-  if (contact.joint < 0) throw Error("joint = '" + named.joint_name + "' of a declared contact must be one of " + known);
+  if (contact.joint < 0) throw Error("joint = '" + named.joint_name + "' of an expected contact must be one of " + known);
   return contact;
 }
 
 void bind_contact(nb::module_& m) {
-  nb::enum_<Declared>(m, "Declared", "What a declared contact explains of a sample.")
-      .value("none", Declared::none, "No declared contact is in effect, or there is no torque.")
+  nb::enum_<Declared>(m, "Declared", "What an expected contact explains of a sample.")
+      .value("none", Declared::none, "No expected contact is in effect, or there is no torque.")
       .value("within", Declared::within, "In effect; what its bounds admit is explained.")
       .value("beyond", Declared::beyond, "The force or torque is larger than declared by more than two standard errors.")
       .value("moved", Declared::moved, "The point moved farther along the axis than declared: nothing is explained until the force has gone.");

@@ -111,7 +111,7 @@ void bind_estimates(nb::module_& m) {
       nb::arg("contacts") = std::vector<std::tuple<NamedContact, std::int64_t, double>>(),
       "Runs the whole chain on a recording; the results equal those of run() of a new Monitor. outputs: those of "
       "network_outputs(), so that the network is not run again. torques: names of the torque columns that are returned; "
-      "empty: all. contacts: declared contacts, from a time [ns] on, for seconds. Flags are uint8, 0 or 1: call "
+      "empty: all. contacts: expected contacts, from a time [ns] on, for seconds. Flags are uint8, 0 or 1: call "
       ".astype(bool) before ~ or a mask. See estimates.hpp.");
   m.def(
       "network_outputs",

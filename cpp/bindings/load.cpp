@@ -12,7 +12,7 @@
 namespace tauext::bindings {
 
 void bind_load(nb::module_& m) {
-  nb::class_<LoadFrame>(m, "LoadFrame", "Frame of a load on a link, in the link's frame; rotation link from frame.")
+  nb::class_<LoadFrame>(m, "LoadFrame", "Frame of a payload on a link, in the link's frame; rotation link from frame.")
       .def(
           "__init__",
           [](LoadFrame* f, int link, std::array<double, 9> rotation, std::array<double, 3> translation) {
@@ -44,7 +44,7 @@ void bind_load(nb::module_& m) {
         return std::pair(to_numpy(std::move(p), {N, n, M}), to_numpy(std::move(beta), {N, n, M}));
       },
       nb::arg("tree"), nb::arg("frame"), nb::arg("q"), nb::arg("dq"),
-      "Contribution of each unit parameter of a load (m, h, I about the frame's origin) to p and beta: (samples, n, 10).");
+      "Contribution of each unit parameter of a payload (m, h, I about the frame's origin) to p and beta: (samples, n, 10).");
   m.def(
       "load_rows",
       [](const Bundle& bundle, const LoadFrame& frame, const LoadParameters& phi, const Array<std::int64_t, 1>& t_ns,
@@ -55,10 +55,10 @@ void bind_load(nb::module_& m) {
         return to_numpy(std::move(out), {samples.shape(0), q.shape(1), std::size_t{LoadSums::kColumns}});
       },
       nb::arg("bundle"), nb::arg("frame"), nb::arg("phi"), nb::arg("t_ns"), nb::arg("q"), nb::arg("dq"), nb::arg("samples"),
-      "Rows by which a load is weighed, (samples, n, 20): contributions to tau_ext of a unit of m, h, I (10), offset, Coulomb\n"
+      "Rows by which a payload is identified, (samples, n, 20): contributions to tau_ext of a unit of m, h, I (10), offset, Coulomb\n"
       "friction, a force along the base's axes (3) and along the frame's (3), what gears add, and 0.");
   m.def("load_friction_shares", [](const Bundle& bundle) { return load_friction_shares(bundle.prior, bundle.joints()); },
-        nb::arg("bundle"), "Share of a load's torque that it adds to each joint's friction, from the prior.");
+        nb::arg("bundle"), "Share of a payload's torque that it adds to each joint's friction, from the prior.");
 }
 
 }  // namespace tauext::bindings

@@ -42,9 +42,9 @@ nb::ndarray<nb::numpy, double> numbers(const std::array<double, N>& values) {
 }
 
 void bind_fit(nb::module_& m) {
-  nb::class_<LoadFit>(m, "LoadFit", "Least-squares fit of one hypothesis: a load, a force, or no cause.")
+  nb::class_<LoadFit>(m, "LoadFit", "Least-squares fit of one hypothesis: a payload, a force, or no cause.")
       .def_prop_ro("values", [](const LoadFit& f) { return std::vector(f.values.begin(), f.values.begin() + f.size); },
-                   "Mass and first moment of a load, or a force.")
+                   "Mass and first moment of a payload, or a force.")
       .def_prop_ro("covariance", [](const LoadFit& f) { return square(f.covariance, static_cast<std::size_t>(f.size)); },
                    "Covariance of the values.", nb::rv_policy::move)
       .def_prop_ro("correlation", [](const LoadFit& f) { return f.noise.correlation; },
@@ -52,7 +52,7 @@ void bind_fit(nb::module_& m) {
       .def_ro("misfit", &LoadFit::misfit, "Squared standard errors per row that remain.")
       .def_ro("cost", &LoadFit::cost, "Sum of the independent squared errors that remain, and of the prior's penalty.");
   auto found = nb::class_<LoadFound>(m, "LoadFound",
-                        "Result of weighing. All attributes but `load` describe what the arm carries beside the load that is set;\n"
+                        "Result of a payload identification. All attributes but `load` describe what the arm carries beside the payload that is set;\n"
                         "lengths and axes are those of the load frame.");
   found.attr("LEAST_ROWS") = kLeastLoadRows;
   found.attr("MASS_SHOWS") = kMassShows;
@@ -60,8 +60,8 @@ void bind_fit(nb::module_& m) {
   found.attr("USUAL_REACH_M") = kUsualReach_m;
   found.def_prop_ro("verdict", [](const LoadFound& f) { return std::string(name(f.verdict)); },
                    "`too little` (motion), `nothing`, `load`, `contact`, `lifts` or `unclear`.")
-      .def_ro("load", &LoadFound::load, "Both loads together, for set_load().")
-      .def_ro("mass_kg", &LoadFound::mass_kg, "Mass, [kg]; negative if the arm carries less than the load that is set.")
+      .def_ro("load", &LoadFound::load, "Both payloads together, for set_load().")
+      .def_ro("mass_kg", &LoadFound::mass_kg, "Mass, [kg]; negative if the arm carries less than the payload that is set.")
       .def_ro("mass_error_kg", &LoadFound::mass_error_kg,
               "Standard error of the mass from the errors of tau_ext in this motion, [kg].")
       .def_ro("constants_error_kg", &LoadFound::constants_error_kg,
@@ -81,7 +81,7 @@ void bind_fit(nb::module_& m) {
       .def_ro("seconds", &LoadFound::seconds, "Duration of the motion, [s].")
       .def_ro("reach_m", &LoadFound::reach_m, "Bound of the search: the centre of mass is within it, [m].")
       .def_ro("misfit", &LoadFound::misfit,
-           "Squared standard errors per row that the load leaves; 1 if nothing else acts.")
+           "Squared standard errors per row that the payload leaves; 1 if nothing else acts.")
       .def_ro("mass_seen", &LoadFound::mass_seen, "False: the motion does not separate the mass from its lever.")
       .def_ro("at_bound", &LoadFound::at_bound, "Whether the centre of mass is at reach_m.")
       .def_prop_ro("unseen",
@@ -98,11 +98,11 @@ void bind_fit(nb::module_& m) {
                      for (std::size_t k = 0; k < f.fits.size(); ++k) out.emplace(names[k], f.fits[k]);
                      return out;
                    },
-                   "Fits by hypothesis: load, base (force along the base's axes), frame (along the frame's axes), nothing.");
+                   "Fits by hypothesis: payload, base (force along the base's axes), frame (along the frame's axes), nothing.");
 }
 
 void bind_known_weight(nb::module_& m) {
-  nb::class_<KnownWeight>(m, "KnownWeight", "Factors on a bundle's torques, found by a load of known mass.")
+  nb::class_<KnownWeight>(m, "KnownWeight", "Factors on a bundle's torques, found by a payload of known mass.")
       .def_prop_ro("factors", [](const KnownWeight& k) { return to_numpy(std::vector(k.factors), {k.factors.size()}); },
                    "Of each joint, (n,).", nb::rv_policy::move)
       .def_prop_ro("errors", [](const KnownWeight& k) { return to_numpy(std::vector(k.errors), {k.errors.size()}); },
@@ -123,7 +123,7 @@ void bind_known_weight(nb::module_& m) {
       },
       nb::arg("bundle"), nb::arg("frame"), nb::arg("motions"), nb::arg("mass_kg"), nb::arg("first"), nb::arg("skipped"),
       nb::arg("com_m") = nb::none(), nb::arg("reach_m") = kUsualReach_m,
-      "Torque constants by a load of known mass; see known_weight.hpp. first (10,): the load as weighed. skipped: joints\n"
+      "Torque constants by a payload of known mass; see known_weight.hpp. first (10,): the payload as identified. skipped: joints\n"
       "whose rows have no worth. Raises CoreError if the motion does not determine the common factor to 3 %.");
   m.def(
       "scaled_bundle",
@@ -142,7 +142,7 @@ void bind_known_weight(nb::module_& m) {
         return bundle;
       },
       nb::arg("bundle"), nb::arg("known"),
-      "The bundle scaled by the common factor, which is then known to the error of the weighing.");
+      "The bundle scaled by the common factor, which is then known to the error of the identification.");
 }
 
 }  // namespace
@@ -157,20 +157,20 @@ void bind_load_found(nb::module_& m) {
                         {t_ns.shape(0), near_stiction.shape(1)});
       },
       nb::arg("t_ns"), nb::arg("near_stiction"),
-      "Weight of each sample in a weighing, (samples, n): 1 while a joint slides, less the longer it has stood.");
+      "Weight of each sample in a payload identification, (samples, n): 1 while a joint slides, less the longer it has stood.");
   m.def(
       "weigh_load",
       [](const Bundle& bundle, const LoadFrame& frame, const Motions& motions, double reach_m, const LoadParameters& phi,
          const Load& set) {
-        if (!(reach_m > 0)) throw Error("the reach of a load = " + to_text(reach_m) + " m must be above 0");
+        if (!(reach_m > 0)) throw Error("the reach of a payload = " + to_text(reach_m) + " m must be above 0");
         const std::vector<WeighedMotion> views = motions_of(motions, bundle.joints());
         const nb::gil_scoped_release released;
         return weigh(bundle, frame, views, reach_m, phi, set);
       },
       nb::arg("bundle"), nb::arg("frame"), nb::arg("motions"), nb::arg("reach_m") = kUsualReach_m,
       nb::arg("phi") = LoadParameters{}, nb::arg("set") = Load{},
-      "Estimates the load from recordings, beside one that is set. motions: of each recording t_ns, q, dq; of its rows the\n"
-      "samples, tau_ext, sigma and worth. phi (10,): the load as known before.");
+      "Estimates the payload from recordings, beside one that is set. motions: of each recording t_ns, q, dq; of its rows the\n"
+      "samples, tau_ext, sigma and worth. phi (10,): the payload as known before.");
   bind_known_weight(m);
 }
 

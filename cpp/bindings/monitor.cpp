@@ -210,7 +210,7 @@ std::int64_t since(const Monitor& monitor, const std::optional<Whole>& since_ns)
   const std::int64_t t_ns = since_ns->named("since_ns"), last_ns = monitor.last().t_ns;
   if (t_ns == kFromNow || (monitor.samples() > 0 && t_ns > last_ns))
     throw Error("since_ns = " + std::to_string(t_ns) + " is later than the last sample (t_ns = " + std::to_string(last_ns) +
-                "); leave it out to set the load from now on");
+                "); leave it out to set the payload from now on");
   return t_ns;
 }
 
@@ -299,18 +299,18 @@ void bind_alarms(nb::class_<Monitor>& monitor) {
                    "Number of the newest alarm; the next one has one more. Set it to continue a count.")
       .def("resume", &Monitor::resume,
            "Ends a latched alarm of an arm that nothing touches any more and that is about to move on. The static friction\n"
-           "of joints near stiction becomes unknown; with a prior, their limits are higher until they have slid.")
+           "of joints near stiction becomes unknown; with a prior, their thresholds are higher until they have slid.")
       .def(
           "set_limit_factors",
           [](Monitor& self, Signal collision, Signal contact) {
             if (!self.set_limit_factors(of_joints(collision, "collision", self.joints()),
                                         of_joints(contact, "contact", self.joints())))
-              throw Error("limit factors must be " + std::to_string(self.joints()) + " numbers each for collision and " +
+              throw Error("threshold factors must be " + std::to_string(self.joints()) + " numbers each for collision and " +
                           "contact, one a joint, from " + to_text(LimitFactors::kLowest) + " to " +
                           to_text(LimitFactors::kHighest));
           },
           nb::arg("collision"), nb::arg("contact"),
-               "Multiplies the bundle's limits by one factor per joint, 0.1 to 10, from the next sample on. Raises "
+               "Multiplies the bundle's thresholds by one factor per joint, 0.1 to 10, from the next sample on. Raises "
                "CoreError, and\n"
           "changes nothing, for other values.")
       .def_prop_ro(
@@ -320,7 +320,7 @@ void bind_alarms(nb::class_<Monitor>& monitor) {
             const auto listed = [&](const JointVector& all) { return std::vector(all.begin(), all.begin() + self.joints()); };
             return std::pair(listed(factors.collision), listed(factors.contact));
           },
-          "Factors in effect on the limits, of collision and contact, one per joint.");
+          "Factors in effect on the thresholds, of collision and contact, one per joint.");
 }
 
 void bind_loads(nb::class_<Monitor>& monitor) {
@@ -334,14 +334,14 @@ void bind_loads(nb::class_<Monitor>& monitor) {
           nb::arg("mass"), nb::arg("com") = std::array<double, 3>{}, nb::arg("inertia") = std::array<double, 6>{},
           nb::kw_only(), nb::arg("since_ns") = nb::none(), nb::arg("error_share") = Load::kUsualError,
           "Sets what the arm carries from the next sample on, or as if it had been set at since_ns: mass [kg], centre of\n"
-          "mass [m] in load_settings.frame, inertia about it xx, yy, zz, xy, xz, yz [kg m^2]. Limits rise by error_share\n"
-          "of its torques. Raises CoreError, and changes nothing, if the load is refused.")
+          "mass [m] in load_settings.frame, inertia about it xx, yy, zz, xy, xz, yz [kg m^2]. Thresholds rise by error_share\n"
+          "of its torques. Raises CoreError, and changes nothing, if the payload is refused.")
       .def("clear_load", [](Monitor& self, const std::optional<Whole>& since_ns) {
              if (self.load_settings().settable()) set_load(self, {}, since(self, since_ns));
            },
-           nb::arg("since_ns") = nb::none(), "Removes the load.")
+           nb::arg("since_ns") = nb::none(), "Removes the payload.")
       .def_prop_ro("load", [](const Monitor& self) { return self.load(); },
-                   "Load from the next sample on; mass 0: none.")
+                   "Payload from the next sample on; mass 0: none.")
       .def_prop_ro("load_settings", [](const Monitor& self) { return self.load_settings(); },
                    "Load frame, and the largest accepted mass and reach.")
       .def(
@@ -357,7 +357,7 @@ void bind_loads(nb::class_<Monitor>& monitor) {
           },
           nb::arg("seconds"), nb::arg("at_most_kg"),
           "Announces that the gripper closes or opens: for `seconds` (at most 60), the arm may come to carry up to\n"
-          "at_most_kg in all. A step that fits is weighed, set and reported; any other step raises the usual alarm.\n"
+          "at_most_kg in all. A step that fits is identified, set and reported; any other step raises the usual alarm.\n"
           "Raises CoreError, and changes nothing, if it is refused.")
       .def("why_not_expected", &Monitor::why_not_expected, nb::arg("seconds"), nb::arg("at_most_kg"),
            "Reason for which expect_load() would refuse; empty: none.");
@@ -369,13 +369,13 @@ void bind_weighing(nb::class_<Monitor>& monitor) {
           [](Monitor& self, double reach_m) {
             if (self.start_weighing(reach_m)) return;
             const std::string reason = self.why_no_weighing();
-            throw Error(reason.empty() ? "the reach of a load = " + to_text(reach_m) + " m must be above 0" : reason);
+            throw Error(reason.empty() ? "the reach of a payload = " + to_text(reach_m) + " m must be above 0" : reason);
           },
           nb::arg("reach_m") = kUsualReach_m,
-          "Starts to weigh what the arm carries beside the load that is set, from the next sample on; drift does not learn\n"
+          "Starts to identify what the arm carries beside the payload that is set, from the next sample on; drift does not learn\n"
           "meanwhile. reach_m: largest distance of the centre of mass from the load frame. Raises CoreError if refused.")
-      .def("stop_weighing", &Monitor::stop_weighing, "Ends weighing; estimate_load() still returns the result.")
-      .def_prop_ro("weighing", &Monitor::weighing, "Whether weighing is active.")
+      .def("stop_weighing", &Monitor::stop_weighing, "Ends the identification; estimate_load() still returns the result.")
+      .def_prop_ro("weighing", &Monitor::weighing, "Whether a payload identification is active.")
       .def("estimate_load", &Monitor::estimate_load, "Returns the result so far; its `load` is for set_load().")
       .def("why_no_weighing", &Monitor::why_no_weighing, "Reason for which start_weighing() would refuse; empty: none.");
 }
@@ -390,11 +390,11 @@ void bind_contacts(nb::class_<Monitor>& monitor) {
             return which;
           },
           nb::arg("contact"), nb::arg("seconds") = kAlways_s,
-          "Declares a contact that the task means, for `seconds` from the next sample on; without a time until end_contact().\n"
-          "The alarm then uses only the part of tau_ext that nothing within its bounds explains; drift, weighing and a refit learn\n"
+          "Announces a contact that the task needs, for `seconds` from the next sample on; without a time until end_contact().\n"
+          "The alarm then uses only the part of tau_ext that nothing within its bounds explains; drift, payload identification and a refit learn\n"
           "nothing. Returns its number. Raises CoreError, and changes nothing, if it is refused.")
       .def("end_contact", &Monitor::end_contact, nb::arg("which"),
-           "Ends a declared contact at once. False: there is none of this number.")
+           "Ends an expected contact at once. False: there is none of this number.")
       .def(
           "why_no_contact",
           [](const Monitor& self, const NamedContact& named, double seconds) {
@@ -422,7 +422,7 @@ void bind_wrenches(nb::class_<Monitor>& monitor) {
             return tool;
           },
           nb::arg("axes") = WrenchAxes::base,
-          "The force that acts on the tool, at the last sample: at the declared contact in effect, else at the load frame; with\n"
+          "The force that acts on the tool, at the last sample: at the expected contact in effect, else at the load frame; with\n"
           "covariance and its standard errors by cause.")
       .def(
           "wrench",
@@ -462,7 +462,7 @@ void bind_refits(nb::class_<Monitor>& monitor) {
                           to_text(friction_share));
           },
           nb::arg("friction_share") = Monitor::kRefitFrictionShare,
-          "Stores motion from the next sample on; meanwhile limits are higher by this share of the friction.")
+          "Stores motion from the next sample on; meanwhile thresholds are higher by this share of the friction.")
       .def_prop_ro("refit_full", &Monitor::refit_full, "Whether the reserved memory is full.")
       .def(
           "finish_refit",
@@ -477,7 +477,7 @@ void bind_refits(nb::class_<Monitor>& monitor) {
             out["tau"] = copy(r.tau);
             return out;
           },
-          "Restores the usual limits and returns the stored motion, for tauext.refit_motion.");
+          "Restores the usual thresholds and returns the stored motion, for tauext.refit_motion.");
 }
 
 void bind_facts(nb::class_<Monitor>& monitor) {
@@ -500,7 +500,7 @@ void bind_facts(nb::class_<Monitor>& monitor) {
       .def_prop_ro("restarts", &Monitor::restarts, "Number of restarts of the chain after its first start.")
       .def_prop_ro("clock_jumps", &Monitor::clock_jumps,
                    "Restarts because the stamps jumped: back, by a gap of more than 10 s, or none newer in 100 samples. Everything\n"
-                   "with a time ended then: contacts declared for a time, an expected load, weighing, motion for a refit.");
+                   "with a time ended then: expected contacts with a time, an expected payload, an identification, motion for a refit.");
 }
 
 void bind_states(nb::class_<Monitor>& monitor) {
@@ -529,10 +529,10 @@ void bind_states(nb::class_<Monitor>& monitor) {
       .def(
           "carry",
           [](Monitor& self, const nb::bytes& carried) {
-            if (!self.carry(as_bytes(carried))) throw Error("what was carried is damaged, of another build or arm, or holds a load that is refused");
+            if (!self.carry(as_bytes(carried))) throw Error("what was carried is damaged, of another build or arm, or holds a payload that is refused");
           },
           nb::arg("carried"),
-          "Continues from limit factors, load and, if both bundles have the same model_digest, learned drift. Call it\n"
+          "Continues from threshold factors, payload and, if both bundles have the same model_digest, learned drift. Call it\n"
           "before the first sample. Raises CoreError, and changes nothing, if it does not fit.")
       .def(
           "carry_alarm",

@@ -192,7 +192,7 @@ void bind_settings(nb::module_& m) {
       .def_rw("common_share", &WrenchSettings::common_share,
            "Relative standard error of a factor common to all joints.")
       .def_rw("torque_factor", &WrenchSettings::torque_factor,
-           "Torque of a load or force as each joint measures it, over the true one, by a known weight; empty: 1.")
+           "Torque of a payload or force as each joint measures it, over the true one, by a known weight; empty: 1.")
       .def_rw("torque_correlation", &WrenchSettings::torque_correlation,
            "Correlation of the constants' errors beside the common one, (joints, joints); empty: independent.")
       .def("own_share", &WrenchSettings::own_share, nb::arg("joint"),

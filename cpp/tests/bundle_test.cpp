@@ -174,7 +174,7 @@ void other_versions_and_bytes_that_do_not_belong_are_refused_by_name() {
   const std::uint32_t crc = crc32(std::span(bytes).subspan(28));
   std::memcpy(bytes.data() + 16, &size, sizeof size);
   std::memcpy(bytes.data() + 24, &crc, sizeof crc);
-  refused("does not know", [&] { from_bytes(bytes); });
+  refused("of a later version", [&] { from_bytes(bytes); });
   refused("not a tauext bundle", [] { from_bytes(std::vector<char>(64, 'x')); });
   refused("cannot be opened", [] { load_bundle(folder.file("none.tauext")); });
 }

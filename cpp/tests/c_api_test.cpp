@@ -471,7 +471,7 @@ void every_code_has_a_name() {
   CHECK(std::strcmp(tauext_version(), TAUEXT_VERSION) == 0);
   CHECK(std::strcmp(tauext_status_name(TAUEXT_BAD_STATE), "bad state") == 0);
   CHECK(*tauext_status_name(TAUEXT_OK) && !*tauext_status_name(static_cast<tauext_status>(7)));
-  CHECK(std::strcmp(tauext_status_name(TAUEXT_BAD_LOAD), "bad load") == 0 && std::strcmp(tauext_status_name(TAUEXT_BAD_CONTACT), "bad contact") == 0);
+  CHECK(std::strcmp(tauext_status_name(TAUEXT_BAD_LOAD), "bad payload") == 0 && std::strcmp(tauext_status_name(TAUEXT_BAD_CONTACT), "bad contact") == 0);
   CHECK(std::strcmp(tauext_health_name(TAUEXT_HEALTHY), "ok") == 0);
   CHECK(!*tauext_health_name(-1) && !*tauext_health_name(256));
   CHECK(std::strcmp(tauext_alarm_name(TAUEXT_COLLISION), "collision") == 0);

@@ -54,11 +54,11 @@ struct Bundle {
   PriorSettings prior;                  // r expected from physics; may be empty
   Limits limits;                        // of contact and collision; in usual motion if there is an error scale
   DriftSettings drift;                  // tracker of slow changes; may be off
-  ErrorScaleSettings error_scale;       // how limits follow the motion; may be off
+  ErrorScaleSettings error_scale;       // how thresholds follow the motion; may be off
   CoverageSettings coverage;            // motion of the training recordings; may be empty
   SignalRanges signals;                 // ranges of the signals; samples outside are faults
   TorqueUnits units;                    // of the input tau and of the estimates
-  LoadSettings load;                    // load frame, and bounds on loads
+  LoadSettings load;                    // load frame, and bounds on payloads
   WrenchSettings wrench;                // error model of forces and moments at frames
   std::vector<Capsule> capsules;        // shapes of the links
   ServoSettings servo;                  // computes dq and tau from servo signals before the chain; may be off
@@ -78,14 +78,14 @@ struct Bundle {
   static constexpr int kLeastInNewtons = 3;
   // Empty if enough joints are in N m; else a sentence that ends with `why`.
   std::string too_few_in_newtons(const std::string& why) const;
-  // Per joint: bound on the change of its estimate, in its own unit, per N m of a load; 0 for joints in N m. In
+  // Per joint: bound on the change of its estimate, in its own unit, per N m of a payload; 0 for joints in N m. In
   // training, the arm's own weight at the joint took no more than the largest torque, of either sign; in addition the
   // model subtracts one unit per N m. kAnyUnit if the arm's weight at the joint is unknown.
   static constexpr double kAnyUnit = 1e6;
   std::vector<double> most_units_per_nm() const;
   // Throws Error with the field that is invalid, or that keeps the chain from running its reference.
   void validate() const;
-  // Sets the default load settings, see assumed_load_settings(). Loads are refused if too few joints are in N m.
+  // Sets the default payload settings, see assumed_load_settings(). Payloads are refused if too few joints are in N m.
   void assume_load();
 };
 
@@ -99,7 +99,7 @@ Bundle load_bundle(const std::string& path);
 std::vector<char> to_bytes(const Bundle& bundle);
 Bundle from_bytes(std::span<const char> bytes);
 // Checksum of all that tau_ext is made of, drift excluded: model, observer, units, prior, network. Bundles that differ in
-// limits, drift settings, coverage or names alone have the same.
+// thresholds, drift settings, coverage or names alone have the same.
 std::uint32_t model_digest(const Bundle& bundle);
 // CRC-32 as in zlib and Ethernet, continued from `crc`.
 std::uint32_t crc32(std::span<const char> bytes, std::uint32_t crc = 0) noexcept;

@@ -36,7 +36,7 @@ struct TimedContact {
   double seconds = std::numeric_limits<double>::infinity();
 };
 
-// Reason for which a declared contact is refused.
+// Reason for which an expected contact is refused.
 enum class ContactFault : std::uint8_t {
   none,
   no_frame,             // neither a frame nor a joint, or both, or an unknown one
@@ -57,9 +57,9 @@ inline constexpr double kAlways_s = std::numeric_limits<double>::infinity();  //
 
 // The force at the tool as a sensor would measure it.
 struct ToolForce {
-  Wrench wrench;             // at the declared contact in effect, else at the load frame; along the declared line, if there is one
+  Wrench wrench;             // at the expected contact in effect, else at the load frame; along the declared line, if there is one
   int frame = -1;            // of WrenchModel; -1: there is none
-  bool declared = false;     // a declared contact is in effect
+  bool declared = false;     // an expected contact is in effect
   // Standard errors of the force along itself, by cause, [N]: errors of free motion, friction hidden by resting joints and lag,
   // torque constants and gear friction under the load.
   double motion_n = 0, rest_n = 0, constants_n = 0;

@@ -1,4 +1,4 @@
-// The result for one sample: external torque, its standard error, limits, alarm and health.
+// The result for one sample: external torque, its standard error, thresholds, alarm and health.
 #pragma once
 #include <cstdint>
 
@@ -11,8 +11,8 @@ namespace tauext {
 // Alarm levels, in rising order.
 enum class Alarm : std::uint8_t {
   none,
-  contact,    // a joint over its contact limit for the hold time; ends by itself
-  collision,  // a joint over its collision limit for the hold time; latched until acknowledged
+  contact,    // a joint over its contact threshold for the hold time; ends by itself
+  collision,  // a joint over its collision threshold for the hold time; latched until acknowledged
 };
 
 const char* name(Alarm alarm) noexcept;  // "none", "contact", "collision"
@@ -38,20 +38,20 @@ enum class Touch : std::uint8_t {
 
 const char* name(Touch touch) noexcept;  // "none", "unknown", ...
 
-// Progress of an expected load.
+// Progress of an expected payload.
 enum class LoadPhase : std::uint8_t {
   none,       // nothing is expected
-  expecting,  // no load detected yet
-  deciding,   // an alarm is held back: the torque fits a load
-  found,      // a load was set; more mass is added until the window ends
-  weighing,   // the window is over and no alarm is held back; weighing continues
+  expecting,  // no payload detected yet
+  deciding,   // an alarm is held back: the torque fits a payload
+  found,      // a payload was set; more mass is added until the window ends
+  weighing,   // the window is over and no alarm is held back; the identification continues
 };
 
 const char* name(LoadPhase phase) noexcept;  // "none", "expecting", ...
 
-// What a declared contact explains of a sample.
+// What an expected contact explains of a sample.
 enum class Declared : std::uint8_t {
-  none,    // no declared contact is in effect, or there is no torque
+  none,    // no expected contact is in effect, or there is no torque
   within,  // in effect; what the bounds admit is explained
   beyond,  // the force or torque is larger than declared by more than two standard errors
   moved,   // the point moved farther along the axis than declared: nothing is explained until the force has gone
@@ -72,11 +72,11 @@ struct Estimate {
   int alarm_joint = -1;             // joint that raised the alarm to its level; -1: no alarm
   std::int64_t alarm_t_ns = 0;      // time at which the alarm rose to its level, [ns]
   std::uint32_t alarm_number = 0;   // of the newest alarm, which stands if one does; 0: there was none
-  std::int64_t touch_t_ns = 0;      // last sample at which some joint was over a limit, [ns]; 0: none since the last alarm
-  bool touch_over = true;           // no alarm, or within all limits, and known, for Limits::contact_release_s
+  std::int64_t touch_t_ns = 0;      // last sample at which some joint was over a threshold, [ns]; 0: none since the last alarm
+  bool touch_over = true;           // no alarm, or within all thresholds, and known, for Limits::contact_release_s
   Touch touch = Touch::none;        // kind of touch behind the alarm, as of the previous sample
-  bool detection = false;           // some |tau_ext| exceeds its collision limit at this sample; no hold time
-  std::uint32_t near_stiction = 0;  // a bit per joint: its limit near stiction applies
+  bool detection = false;           // some |tau_ext| exceeds its collision threshold at this sample; no hold time
+  std::uint32_t near_stiction = 0;  // a bit per joint: its threshold near stiction applies
   std::uint32_t drift_saturated = 0;  // a bit per joint: its drift has reached the bound; retrain
   double unfamiliar = 0;            // distance of the motion from the training motion, 0 to 1; 0 without a coverage
   Unseen unseen = Unseen::nothing;  // main difference from the training motion
@@ -87,25 +87,25 @@ struct Estimate {
   JointVector drift{};              // slow changes since training, [N m]; 0 without a tracker
   JointVector uncertainty{};        // r expected in free motion: prior + network + drift, [N m]
   JointVector tau_ext{};  // residual - uncertainty, [N m]; positive: a push in the joint's positive direction
-  JointVector doubt{};  // possible error of prior (unknown presliding states) and load torques, [N m]
+  JointVector doubt{};  // possible error of prior (unknown presliding states) and payload torques, [N m]
   JointVector sigma_nm{};  // standard error of tau_ext in free motion, doubt included, [N m]; NaN: unknown
   JointVector contact_sigma_nm{};   // standard error of tau_ext during and after a contact, [N m]
-  JointVector limit_scale{};        // factor of the motion on the limits, unfamiliar motion included; 1 in usual motion
-  JointVector limit_nm{};           // collision limit of |tau_ext|, scale and doubt included, [N m]; infinite: not monitored
-  JointVector contact_limit_nm{};   // contact limit of |tau_ext|, scale and doubt included, [N m]
+  JointVector limit_scale{};        // factor of the motion on the thresholds, unfamiliar motion included; 1 in usual motion
+  JointVector limit_nm{};           // collision threshold of |tau_ext|, scale and doubt included, [N m]; infinite: not monitored
+  JointVector contact_limit_nm{};   // contact threshold of |tau_ext|, scale and doubt included, [N m]
   JointVector margin_nm{};          // limit_nm - |tau_ext - load_nm - declared_nm|, [N m]
-  Load load;                        // load that the model carries; mass 0: none
-  LoadPhase load_phase = LoadPhase::none;  // phase of an expected load
-  std::int64_t load_found_ns = 0;   // sample at which the last expected load was found, [ns]; 0: none
+  Load load;                        // payload that the model carries; mass 0: none
+  LoadPhase load_phase = LoadPhase::none;  // phase of an expected payload
+  std::int64_t load_found_ns = 0;   // sample at which the last expected payload was found, [ns]; 0: none
   double load_error_kg = 0;         // standard error of its mass, with that of the torque constants, [kg]
-  JointVector load_nm{};            // part of tau_ext attributed to an expected load, [N m]; 0 if none is expected
-  Declared declared = Declared::none;  // state of the declared contact in effect
+  JointVector load_nm{};            // part of tau_ext attributed to an expected payload, [N m]; 0 if none is expected
+  Declared declared = Declared::none;  // state of the expected contact in effect
   int declared_contact = -1;        // its number: one beyond its bounds, else one at a frame, else one of a joint; -1: none
   double declared_size = 0;         // its force within the cone, however large, [N]; of a joint the torque, in its unit
   double declared_sigma = 0;        // standard error of that
   double declared_moment_nm = 0;    // its moment, [N m]
   double declared_travel_m = 0;     // way of its point along the axis since the contact began, [m]
-  JointVector declared_nm{};        // part of tau_ext that declared contacts explain, [N m]; the alarm uses the rest
+  JointVector declared_nm{};        // part of tau_ext that expected contacts explain, [N m]; the alarm uses the rest
 
   // Healthy and no alarm: the only condition that means "no collision".
   bool clear() const noexcept { return health == Health::ok && alarm == Alarm::none; }

@@ -24,7 +24,7 @@ struct Flight {
       contact_sigma_nm, limit_nm, contact_limit_nm;  // (samples, joints)
   std::vector<std::uint32_t> near_stiction, causes;                         // (samples): bits
   std::vector<std::uint8_t> health, alarm, held_alarm, touch, detection;          // (samples)
-  std::vector<Load> load;                                                   // (samples): load that the model carries
+  std::vector<Load> load;                                                   // (samples): payload that the model carries
   Estimate event;  // the monitor's estimate at the event
 };
 

@@ -1,4 +1,4 @@
-// Loads that the arm carries: their frame, the bounds on them, and the result of weighing.
+// Payloads that the arm carries: their frame, the bounds on them, and the result of their identification.
 #pragma once
 #include <array>
 #include <cstdint>
@@ -11,7 +11,7 @@
 
 namespace tauext {
 
-// A rigid body, in the axes of the load frame. Mass 0: no load.
+// A rigid body, in the axes of the load frame. Mass 0: no payload.
 struct Load {
   // Default of error_share: a mass known to 1 % and a centre of mass known to 1 cm, at half a metre from the axis.
   static constexpr double kUsualError = 0.03;
@@ -19,7 +19,7 @@ struct Load {
   double mass = 0;                   // [kg]
   std::array<double, 3> com{};       // centre of mass in the load frame, [m]
   std::array<double, 6> inertia{};   // about the centre of mass, axes of the load frame: xx, yy, zz, xy, xz, yz, [kg m^2]
-  double error_share = kUsualError;  // relative error of its torques, 0 to 1: limits rise by this share; 0: exact
+  double error_share = kUsualError;  // relative error of its torques, 0 to 1: thresholds rise by this share; 0: exact
 
   bool operator==(const Load&) const = default;
 };
@@ -27,7 +27,7 @@ struct Load {
 // Value of since_ns for "from the next sample on". Any other value is an earlier time.
 inline constexpr std::int64_t kFromNow = std::numeric_limits<std::int64_t>::max();
 
-// Reason for refusing a load.
+// Reason for refusing a payload.
 enum class LoadFault : std::uint8_t {
   none,
   not_settable,      // LoadSettings::refused of the bundle contains the reason
@@ -41,42 +41,42 @@ enum class LoadFault : std::uint8_t {
   no_past,           // since_ns is an earlier time, and the residual of this bundle cannot be recomputed
 };
 
-// Where a load is fixed, and which loads are accepted.
+// Where a payload is fixed, and which payloads are accepted.
 struct LoadSettings {
   std::string frame;      // name of the load frame
   std::int32_t link = -1;  // link that the frame is fixed to; -1: none
   std::array<double, 9> rotation{1, 0, 0, 0, 1, 0, 0, 0, 1};  // link from load frame, row-major
   std::array<double, 3> translation{};  // origin of the frame in the link's frame, [m]
   double largest_mass_kg = 0, largest_reach_m = 0;  // bounds; the reach is measured from the frame's origin
-  // Reason for which no load can be set; empty: loads are accepted.
-  std::string refused = "the bundle names no frame for a load";
+  // Reason for which no payload can be set; empty: payloads are accepted.
+  std::string refused = "the bundle names no frame for a payload";
 
   bool settable() const noexcept { return refused.empty(); }
   // Throws Error with the field that is invalid for this number of joints.
   void validate(int joints) const;
-  // First rule that the load breaks; none: it is accepted.
+  // First rule that the payload breaks; none: it is accepted.
   LoadFault fault(const Load& load) const noexcept;
   // The fault as a sentence: quantity, value and rule.
   std::string words(LoadFault fault, const Load& load) const;
-  // The load about the origin of its link, in the link's axes.
+  // The payload about the origin of its link, in the link's axes.
   Carried in_link(const Load& load) const noexcept;
-  // The link and the load as one body.
+  // The link and the payload as one body.
   Link merged(const Load& load, const Link& own) const;
 };
 
 // Defaults for bundles that name no load frame: the frame of the last link of the longest chain; at most half the mass
-// of the arm, and half its length (at least 0.3 m). `corrected`: the corrected model, which carries the load if `links`
+// of the arm, and half its length (at least 0.3 m). `corrected`: the corrected model, which carries the payload if `links`
 // have no mass; empty: none.
 LoadSettings assumed_load_settings(const std::vector<Link>& links, const std::vector<Link>& corrected);
 
-// Default for the largest distance between the centre of mass of a weighed load and the load frame's origin, [m].
+// Default for the largest distance between the centre of mass of an identified payload and the load frame's origin, [m].
 inline constexpr double kUsualReach_m = 0.3;
 
-// m, h, I of a load about the origin of its frame, in that frame's axes: mass [kg], first moment [kg m], inertia xx,
+// m, h, I of a payload about the origin of its frame, in that frame's axes: mass [kg], first moment [kg m], inertia xx,
 // yy, zz, xy, xz, yz [kg m^2].
 using LoadParameters = std::array<double, 10>;
 
-// Hypotheses of weighing: a load, a constant force along the base's or the frame's axes, or no cause.
+// Hypotheses of a payload identification: a payload, a constant force along the base's or the frame's axes, or no cause.
 enum class LoadCause : std::uint8_t { load, base_force, frame_force, nothing };
 inline constexpr int kLoadCauses = 4;
 
@@ -99,24 +99,24 @@ struct LoadFit {
   double cost = 0;                       // independent squared errors that are left, and what `before` holds against it
 };
 
-// Result of weighing.
+// Result of a payload identification.
 enum class LoadVerdict : std::uint8_t {
   too_little,  // fewer than kLeastLoadRows rows
-  nothing,     // no load shows
+  nothing,     // no payload shows
   load,
-  contact,     // a constant force fits better than any load
+  contact,     // a constant force fits better than any payload
   lifts,       // the force points up
   unclear,     // no hypothesis explains the torques
 };
 const char* name(LoadVerdict verdict) noexcept;
 inline constexpr int kLeastLoadRows = 30;  // 0.3 s
 
-// Mass and centre of mass found by weighing, their errors, and whether it is a load. Lengths and axes are those of the
-// load frame. All members but `load` describe what the arm carries BESIDE the load that is set.
+// Mass and centre of mass found by payload identification, their errors, and whether it is a payload. Lengths and axes are those of the
+// load frame. All members but `load` describe what the arm carries BESIDE the payload that is set.
 struct LoadFound {
   LoadVerdict verdict = LoadVerdict::too_little;
   Load load;  // both loads together, for set_load(): inertia of a ball, error_share from the standard errors
-  double mass_kg = 0;       // negative if the arm carries less than the load that is set
+  double mass_kg = 0;       // negative if the arm carries less than the payload that is set
   double mass_error_kg = 0; // standard error from the errors of tau_ext in this motion
   double constants_error_kg = 0;  // standard error from the torque constants, about the same share of every weight
   JointVector mass_by_constant_kg{};  // a joint: change of the mass with its torque, for all of it
@@ -126,7 +126,7 @@ struct LoadFound {
   LoadParameters phi{};     // mass, first moment and inertia about the frame's origin
   double seconds = 0;       // duration of the motion, [s]
   double reach_m = 0;       // bound of the search for the centre of mass, [m]
-  double misfit = 0;        // squared standard errors a row that the load leaves: 1 where nothing else is
+  double misfit = 0;        // squared standard errors a row that the payload leaves: 1 where nothing else is
   bool mass_seen = false;   // false: the motion does not separate the mass from its lever
   bool at_bound = false;    // the centre of mass is at reach_m
   int unseen_count = 0;  // directions of the centre of mass that the motion does not determine, unit vectors

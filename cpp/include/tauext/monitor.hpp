@@ -54,52 +54,52 @@ class Monitor {
   // last known value remains in effect. Returns false and changes nothing unless there is one value per joint.
   bool set_temperature(std::span<const double> celsius) noexcept;
 
-  // --- Alarm and limits.
+  // --- Alarm and thresholds.
 
   // Ends a latched alarm and does nothing else. If the cause persists, the alarm rises again.
   void acknowledge() noexcept;
   // Ends a latched alarm of an arm that nothing touches any more and that is about to move on. A push changes the
   // static friction of a resting joint; the joint's position determines the new level only roughly. The state of joints
-  // near stiction is therefore discarded, as at the start. With a prior, their limits rise at once by the friction that
+  // near stiction is therefore discarded, as at the start. With a prior, their thresholds rise at once by the friction that
   // could hide, until the joints have slid.
   void resume() noexcept;
-  // Multiplies the bundle's limits by these factors from the next sample on: one per joint, each 0.1 to 10. Returns
+  // Multiplies the bundle's thresholds by these factors from the next sample on: one per joint, each 0.1 to 10. Returns
   // false and changes nothing for other values. Drift learning does not depend on the factors. The calibrated false
   // alarm rate holds for factors from 1 on.
   bool set_limit_factors(std::span<const double> collision, std::span<const double> contact) noexcept;
   const LimitFactors& limit_factors() const noexcept;  // factors in effect
 
-  // --- Loads: set, expected from a gripper, weighed.
+  // --- Payloads: set, expected from a gripper, identified.
 
   // Sets what the arm carries from the next sample on, in the axes of load_settings().frame; mass 0: nothing. r
-  // continues from its value. With since_ns, in sample time, r, prior and drift become what they would be if the load
+  // continues from its value. With since_ns, in sample time, r, prior and drift become what they would be if the payload
   // had been set then: r and prior exactly within the last 10/K0 (8192 samples at most), and with all but e^-10 of the
-  // load's torques for earlier times; drift to a second, within the last minute. restore_state() and every restart of
-  // the chain discard the past samples that this needs. Limits rise by error_share of the load's torques. Returns false
-  // and changes nothing if the load is refused. Takes at most one or two microseconds per sample since since_ns.
+  // payload's torques for earlier times; drift to a second, within the last minute. restore_state() and every restart of
+  // the chain discard the past samples that this needs. Thresholds rise by error_share of the payload's torques. Returns false
+  // and changes nothing if the payload is refused. Takes at most one or two microseconds per sample since since_ns.
   bool set_load(const Load& load, std::int64_t since_ns = kFromNow) noexcept;
-  // Removes the load. Returns true and does nothing if the bundle accepts no loads.
+  // Removes the payload. Returns true and does nothing if the bundle accepts no payloads.
   bool clear_load(std::int64_t since_ns = kFromNow) noexcept { return !load_settings().settable() || set_load({}, since_ns); }
-  const Load& load() const noexcept;  // load in effect
-  // Frame of the load, and bounds on loads.
+  const Load& load() const noexcept;  // payload in effect
+  // Frame of the payload, and bounds on payloads.
   const LoadSettings& load_settings() const noexcept;
   // Reason for which set_load() would refuse this load.
   LoadFault load_fault(const Load& load, std::int64_t since_ns = kFromNow) const noexcept;
-  // The same as a sentence; empty: the load is accepted. Allocates: not for the loop.
+  // The same as a sentence; empty: the payload is accepted. Allocates: not for the loop.
   std::string why_no_load(const Load& load, std::int64_t since_ns = kFromNow) const {
     return load_settings().words(load_fault(load, since_ns), load);
   }
 
   // Announces that the gripper closes or opens: for `seconds` (at most 60) from the next sample on, the arm may come to
-  // carry up to at_most_kg in all. A torque step that fits such a load raises no alarm; the load is weighed, set and
+  // carry up to at_most_kg in all. A torque step that fits such a payload raises no alarm; the payload is identified, set and
   // reported (Estimate's load_phase, load_found_ns, load_error_kg). A step that does not fit raises the usual alarm. A
-  // held-back step that does not become a load raises the alarm about half a second after it has settled. Meanwhile
+  // held-back step that does not become a payload raises the alarm about half a second after it has settled. Meanwhile
   // drift does not learn, and a sample takes about two microseconds longer. set_load(), clear_load() and reset() end
   // the expectation. Returns false and changes nothing if why_not_expected() returns a reason.
   bool expect_load(double seconds, double at_most_kg) noexcept;
   // Reason for which expect_load() would refuse; empty: none. Allocates: not for the loop.
   std::string why_not_expected(double seconds, double at_most_kg) const;
-  // Starts to weigh what the arm carries beside the load that is set. From 10/K0 after the next sample on, advance()
+  // Starts to identify what the arm carries beside the payload that is set. From 10/K0 after the next sample on, advance()
   // sums healthy samples, one per network period. Drift does not learn until stop_weighing(), since it would absorb the
   // load. A second call and every set_load() restart the sums; reset() and restore_state() end weighing. reach_m:
   // largest distance of the centre of mass from the origin of the load frame. Returns false and changes nothing if
@@ -118,15 +118,15 @@ class Monitor {
   // --- Contacts that the task means.
 
   // Declares a contact for `seconds` from the next sample on (kAlways_s: until end_contact()): the alarm uses only the part of
-  // tau_ext that no force and moment within its bounds explains (Estimate's declared_*), and limits rise by the error of what is
+  // tau_ext that no force and moment within its bounds explains (Estimate's declared_*), and thresholds rise by the error of what is
   // explained. A force beyond the bounds is Declared::beyond; what is beyond them stays in the alarm. Meanwhile drift, weighing and
   // a refit learn nothing. The contact stays in effect for 5/K0 afterwards, since r still contains it. Of several contacts at
-  // frames the last one counts, while no load is expected; contacts of joints count beside it. A sample takes about two
+  // frames the last one counts, while no payload is expected; contacts of joints count beside it. A sample takes about two
   // microseconds longer. Returns the contact's number, or -1 and changes nothing if contact_fault() gives a reason.
   int expect_contact(const DeclaredContact& contact, double seconds) noexcept;
-  // Ends a declared contact at once; false: there is none of this number.
+  // Ends an expected contact at once; false: there is none of this number.
   bool end_contact(int which) noexcept;
-  // The declared contact of this number; null: none.
+  // The expected contact of this number; null: none.
   const DeclaredContact* declared_contact(int which) const noexcept;
   // Reason for which expect_contact() would refuse.
   ContactFault contact_fault(const DeclaredContact& contact, double seconds) const noexcept;
@@ -134,14 +134,14 @@ class Monitor {
   std::string why_no_contact(const DeclaredContact& contact, double seconds) const;
   // What is not monitored while it is in effect, as a sentence; empty: nothing. Allocates: not for the loop.
   std::string unmonitored(const DeclaredContact& contact) const;
-  // The force that acts on the tool, with covariance and its parts by cause: at the declared contact in effect, else at the load
+  // The force that acts on the tool, with covariance and its parts by cause: at the expected contact in effect, else at the load
   // frame. Along the declared line only, if it is one; a moment only if one is declared. Takes microseconds and changes nothing.
   ToolForce tool_force(WrenchAxes axes = WrenchAxes::base) const noexcept;
 
   // --- Forces and moments.
 
   // Force and moment that the environment exerts on the arm at a frame, at the last sample, with their covariance, see
-  // Wrench. While a load is expected, its part load_nm is excluded. Unknown while health is neither ok nor stale, and
+  // Wrench. While a payload is expected, its part load_nm is excluded. Unknown while health is neither ok nor stale, and
   // after restore_state() until the next sample. Takes microseconds and changes nothing.
   Wrench wrench(int frame, WrenchAxes axes = WrenchAxes::base) const noexcept;
   // Estimates a force without a moment that acts at a known point of the frame, [m] along the frame's own axes.
@@ -156,14 +156,14 @@ class Monitor {
   // Reserves memory for `seconds` of samples for a refit (refit.hpp). Allocates: call it before the loop. Throws Error
   // unless the time is above 0 and at most 600 s.
   void reserve_refit(double seconds);
-  // Stores motion from the next sample on until the memory is full. Meanwhile, limits are higher by friction_share of
+  // Stores motion from the next sample on until the memory is full. Meanwhile, thresholds are higher by friction_share of
   // the friction that the prior expects of the joint at its speed: 0.4 covers friction of 0.6 to 1.4 times the old one.
-  // A push beyond these limits still raises an alarm. Returns false and changes nothing without reserved memory,
+  // A push beyond these thresholds still raises an alarm. Returns false and changes nothing without reserved memory,
   // without friction in the prior, or for a share outside 0 to 2. reset() and restore_state() end it.
   bool start_refit(double friction_share = kRefitFrictionShare) noexcept;
   // Whether the reserved memory is full.
   bool refit_full() const noexcept;
-  // Restores the usual limits. The stored motion remains until the next start, so that another thread can pass it to
+  // Restores the usual thresholds. The stored motion remains until the next start, so that another thread can pass it to
   // refit() while the loop continues.
   RecordingView finish_refit() noexcept;
   // The motion stored so far.
@@ -186,9 +186,9 @@ class Monitor {
   static std::size_t carried_bytes() noexcept;
   // Copies what can be carried; call it between advance() and the next sample. Returns false if the size is wrong.
   bool save_carried(std::span<std::byte> carried) const noexcept;
-  // Continues from limit factors, load and, if both bundles have the same model_digest(), learned drift: a new prior has
+  // Continues from threshold factors, payload and, if both bundles have the same model_digest(), learned drift: a new prior has
   // learned what the old drift made up for. Call it before the first sample. Returns false and changes nothing if the
-  // bytes are damaged or of another build or number of joints, or the bundle refuses the load.
+  // bytes are damaged or of another build or number of joints, or the bundle refuses the payload.
   bool carry(std::span<const std::byte> carried) noexcept;
   // Continues the alarm: its number, level, joint, time and kind of touch, and the joints pushed while stuck. An alarm that this
   // monitor raised itself ends. Returns false and changes nothing if the bytes are damaged or of another build or number
@@ -211,7 +211,7 @@ class Monitor {
   std::uint64_t bridged_ticks() const noexcept;  // ticks of the regular clock without a sample of their own
   std::uint64_t restarts() const noexcept;       // restarts of the chain after its first start
   // Restarts because the stamps jumped: they went back, stood still for 100 samples, or a gap exceeded 10 s. Times from before do
-  // not count in the new clock, so everything with a time ends: contacts declared for a time, an expected load (an alarm that was
+  // not count in the new clock, so everything with a time ends: expected contacts with a time, an expected payload (an alarm that was
   // held back for it is raised), weighing, and the motion of a refit. Ask for it again.
   std::uint64_t clock_jumps() const noexcept;
 

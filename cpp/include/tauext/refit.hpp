@@ -21,7 +21,7 @@ namespace tauext {
 // The rows of a joint at rest for 5 s, or since the start of the recording, do not count for this joint: static
 // friction can hold any torque. A joint that never moves keeps its weights.
 // Terms of the arm (gravity, inertia, corrections of the model) do not change: a minute of motion determines them worse
-// than training did, and a difference would be another load.
+// than training did, and a difference would be another payload.
 struct RefitSettings {
   double common = 0.3;     // all friction together: gears a night older or 30 K colder
   double apart = 0.15;     // Coulomb and viscous friction separately: grease thins, metal does not
@@ -56,24 +56,24 @@ struct RefitJoint {
   double moved_s = 0;                // time above Limits::near_stiction_rad_s, [s]
   double error_ratio = 0;            // held-out error divided by sigma: 1 as after training; NaN: no sigma
   double error_ratio_upper = 0;      // plus one standard error, from the spread between blocks of the motion
-  double largest_share = 0;          // largest held-out error over the hold time, divided by the collision limit
-  double limit_factor = 1, sigma_factor = 1;  // factors by which limits and sigma were raised; at least 1
+  double largest_share = 0;          // largest held-out error over the hold time, divided by the collision threshold
+  double limit_factor = 1, sigma_factor = 1;  // factors by which thresholds and sigma were raised; at least 1
 };
 
 // Time in which no friction explains the torques; left out of the fit.
 struct RefitTouch {
   int source = 0, joint = 0;      // recording, and the joint with the largest share
   std::int64_t from_ns = 0, to_ns = 0;
-  double share = 0;               // largest error divided by that joint's collision limit
-  bool counted = false;           // too frequent for touches: limits were raised by it
+  double share = 0;               // largest error divided by that joint's collision threshold
+  bool counted = false;           // too frequent for touches: thresholds were raised by it
 };
 
 // Errors of the fit on held-out motion, one row per network period.
 struct RefitErrors {
   std::vector<std::int64_t> t_ns;
   std::vector<std::uint8_t> free;           // no touch nearby
-  std::vector<double> share;                // (rows, joints): over the hold time, divided by the old collision limit
-  std::vector<std::uint8_t> near_stiction;  // (rows, joints): which limit applies
+  std::vector<double> share;                // (rows, joints): over the hold time, divided by the old collision threshold
+  std::vector<std::uint8_t> near_stiction;  // (rows, joints): which threshold applies
 };
 
 // The new bundle and how it differs from the old one.
@@ -88,9 +88,9 @@ struct Refit {
 
 inline constexpr double kRefitLeastS = 10;  // shortest motion, [s]
 
-// Returns a copy of the bundle with the most probable weights for today's motion and with limits that the held-out
+// Returns a copy of the bundle with the most probable weights for today's motion and with thresholds that the held-out
 // errors support. Rows are a network period apart. They are weighted by the sigma of their motion, by the correlation
-// time of the errors, and robustly (Tukey's weights), so that a push of a second is not learned. Limits and sigma only
+// time of the errors, and robustly (Tukey's weights), so that a push of a second is not learned. Thresholds and sigma only
 // rise, see RefitJoint. Provenance is unchanged.
 // Not for a control loop: it allocates and takes about 20 ms per second of motion.
 // Throws Error if the prior has no friction, the sources do not fit, less than kRefitLeastS of motion can be used, a

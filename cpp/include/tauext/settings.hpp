@@ -138,7 +138,7 @@ struct PriorSettings {
   std::vector<Link> corrected_links;
   FrictionTemperature temperature = {};
   // Per joint: largest |beta| in the fit of its load terms, [N m]. The terms are clipped there. Torque beyond it, as
-  // from a load, adds to the friction by its load_friction_shares(). Empty: no bound, and no such friction.
+  // from a payload, adds to the friction by its load_friction_shares(). Empty: no bound, and no such friction.
   std::vector<double> most_load_nm = {};
   std::vector<double> branches = {};  // (joints, widths): presliding states with local memory, see Presliding; empty:
                                       // none
@@ -148,15 +148,15 @@ struct PriorSettings {
   void validate(int joints) const;
 };
 
-// Limit of |tau_ext| per joint, and hold time, of an alarm level. With an error scale, limits are those of usual motion
+// Threshold of |tau_ext| per joint, and hold time, of an alarm level. With an error scale, thresholds are those of usual motion
 // and are multiplied by the scale. Infinite in both regions and levels: the joint is not monitored.
 struct Level {
   std::vector<double> sliding_nm;        // per joint, [N m]
   std::vector<double> near_stiction_nm;  // per joint, [N m]
-  double hold_s = 0;                     // [s]; 0: the first sample above the limit raises the alarm
+  double hold_s = 0;                     // [s]; 0: the first sample above the threshold raises the alarm
 };
 
-// Factors on the limits at run time; above 1 limits are higher.
+// Factors on the thresholds at run time; above 1 thresholds are higher.
 struct LimitFactors {
   static constexpr double kLowest = 0.1, kHighest = 10;  // outside, calibration is meaningless
   JointVector collision, contact;  // per joint
@@ -167,20 +167,20 @@ struct LimitFactors {
   }
 };
 
-// Limits of both alarm levels, and the definition of near stiction.
+// Thresholds of both alarm levels, and the definition of near stiction.
 struct Limits {
   double near_stiction_rad_s = 0;  // a joint is near stiction if |dq| is below this, ...
   int region_width = -1;           // ... or the presliding state of this width is bent (-1: speed only), ...
   double near_memory_s = 0;        // ... and for this time afterwards, while r still contains the breakaway
   Level collision;                 // latched until acknowledged
   Level contact;                   // falls back by itself ...
-  double contact_release_s = 0;    // a touch is over when all |tau_ext| have been within their limits for this time; a contact then ends
+  double contact_release_s = 0;    // a touch is over when all |tau_ext| have been within their thresholds for this time; a contact then ends
   // A push on a stuck joint changes its friction from the level that its motion implies, until the joint slides. From
-  // the moment at which no joint exceeds its limit, limits of such a joint are multiplied by after_contact_factor until
+  // the moment at which no joint exceeds its threshold, thresholds of such a joint are multiplied by after_contact_factor until
   // it has slid for kSlidS. A factor of 1 switches this off.
   static constexpr double kSlidS = 0.5;
   double after_contact_factor = 1;
-  // Standard errors by which what a declared contact explains may be wrong (DeclaredContacts).
+  // Standard errors by which what an expected contact explains may be wrong (DeclaredContacts).
   double declared_spread = 3;
 
   // A joint that has slid by a width has a state of 1 or -1 for it, and a reversal changes the state at once. A
@@ -189,9 +189,9 @@ struct Limits {
     return std::fabs(dq) < near_stiction_rad_s || (region_width >= 0 && std::fabs(state) < kBent);
   }
   static constexpr double kBent = 0.9;  // with a smaller |state| the joint does not slide
-  // Whether a joint can raise an alarm. One whose limits are infinite cannot: it never moved in training.
+  // Whether a joint can raise an alarm. One whose thresholds are infinite cannot: it never moved in training.
   bool monitors(int joint) const noexcept { return std::isfinite(collision.sliding_nm[static_cast<std::size_t>(joint)]); }
-  // Limit of a joint in its region, [N m]; infinite if the joint is not monitored.
+  // Threshold of a joint in its region, [N m]; infinite if the joint is not monitored.
   double limit_nm(const Level& level, int joint, bool near) const noexcept {
     return near ? level.near_stiction_nm[joint] : level.sliding_nm[joint];
   }
@@ -204,9 +204,9 @@ struct DriftSettings {
   double time_constant_s = 0;   // [s], >= 1; 0: no tracker, and the other settings are ignored
   std::vector<double> size_nm;  // per joint: bound on each coefficient, [N m]
   double rate_share_per_s = 0;  // largest change of a coefficient per second, relative to its bound
-  double freeze_share = 0;      // |tau_ext| above this share of the lower limit is a touch; 0: no touches
+  double freeze_share = 0;      // |tau_ext| above this share of the lower threshold is a touch; 0: no touches
   double freeze_s = 0;          // learning pauses for this time after a touch, [s]
-  std::vector<double> freeze_floor_nm = {};  // per joint: a smaller torque is no touch, however low the limit, [N m];
+  std::vector<double> freeze_floor_nm = {};  // per joint: a smaller torque is no touch, however low the threshold, [N m];
                                              // empty: 0
   double friction_share = 0;  // FrictionFactors follow friction of 1 / (1 + this) to 1 + this times the prior's; 0: none
 
@@ -230,9 +230,9 @@ enum class MotionFeature : std::uint8_t {
 };
 inline constexpr int kMotionFeatures = 8;  // number of features
 
-// How limits and standard error grow with the motion. Weights are >= 0, (joints, features).
+// How thresholds and standard error grow with the motion. Weights are >= 0, (joints, features).
 struct ErrorScaleSettings {
-  std::vector<MotionFeature> features;    // none: no standard error; the constant alone: constant limits with one
+  std::vector<MotionFeature> features;    // none: no standard error; the constant alone: constant thresholds with one
   std::vector<double> limit_weights;      // of the limits' scale, 1 in usual motion
   std::vector<double> largest;            // per joint: bound on the scale, its largest value in training
   std::vector<double> sigma_weights;      // of the standard error while sliding, [N m] for a feature of 1
@@ -240,7 +240,7 @@ struct ErrorScaleSettings {
   std::vector<double> largest_sigma;      // per joint: bound on the standard error, [N m]
 
   bool on() const noexcept { return !features.empty(); }  // there is a standard error
-  // Whether limits and standard error follow the motion.
+  // Whether thresholds and standard error follow the motion.
   bool follows() const noexcept {
     return std::ranges::any_of(features, [](MotionFeature one) { return one != MotionFeature::constant; });
   }
@@ -248,7 +248,7 @@ struct ErrorScaleSettings {
   void validate(int joints) const;
 };
 
-// Motion of the training recordings. Positions are sorted into cells; those of a joint without limits wrap after a
+// Motion of the training recordings. Positions are sorted into cells; those of a joint without thresholds wrap after a
 // turn. Empty: unknown, and all motion is familiar.
 struct CoverageSettings {
   std::vector<double> fastest_rad_s;         // per joint: largest |dq| of training, > 0; [m/s] for a prismatic joint
@@ -316,7 +316,7 @@ struct WrenchSettings {
   std::vector<double> torque_share;  // per joint: relative standard error of the torque constant; empty: the default
   double common_share = 0;           // relative standard error of a factor common to all joints
   // After a known weight; empty: 1, and independent errors.
-  std::vector<double> torque_factor;       // per joint: torque of a load or force as measured, over the true one
+  std::vector<double> torque_factor;       // per joint: torque of a payload or force as measured, over the true one
   std::vector<double> torque_correlation;  // (joints, joints) of the own errors
   // By WrenchKind. radius: factor on the variances of free motion, so that 95 % of its errors lie in the 95 %
   // ellipsoid. residual_radius: factor on the chi-square of the unexplained remainder.

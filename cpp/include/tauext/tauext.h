@@ -70,13 +70,13 @@ typedef enum tauext_cause {
   TAUEXT_IMPOSSIBLE_POSITION = 2048  /* farther from the last position than the joint can move */
 } tauext_cause;
 
-/* Progress of an expected load. */
+/* Progress of an expected payload. */
 typedef enum tauext_load_phase {
   TAUEXT_NO_LOAD_EXPECTED = 0,
-  TAUEXT_EXPECTING_LOAD = 1,  /* no load detected yet */
-  TAUEXT_DECIDING_LOAD = 2,  /* an alarm is held back: the torque fits a load */
-  TAUEXT_LOAD_FOUND = 3,     /* a load was set; more mass is added until the window ends */
-  TAUEXT_WEIGHING_LOAD = 4   /* the window is over and no alarm is held back; weighing continues */
+  TAUEXT_EXPECTING_LOAD = 1,  /* no payload detected yet */
+  TAUEXT_DECIDING_LOAD = 2,  /* an alarm is held back: the torque fits a payload */
+  TAUEXT_LOAD_FOUND = 3,     /* a payload was set; more mass is added until the window ends */
+  TAUEXT_WEIGHING_LOAD = 4   /* the window is over and no alarm is held back; the identification continues */
 } tauext_load_phase;
 
 /* Kind of touch behind an alarm. */
@@ -89,9 +89,9 @@ typedef enum tauext_touch {
   TAUEXT_LOAD_TOUCH = 5     /* a weight at the load frame */
 } tauext_touch;
 
-/* What a declared contact explains of a sample. */
+/* What an expected contact explains of a sample. */
 typedef enum tauext_declared {
-  TAUEXT_NOTHING_DECLARED = 0, /* no declared contact is in effect, or there is no torque */
+  TAUEXT_NOTHING_DECLARED = 0, /* no expected contact is in effect, or there is no torque */
   TAUEXT_WITHIN = 1,           /* in effect; what its bounds admit is explained */
   TAUEXT_BEYOND = 2,           /* the force or torque is larger than declared by more than two standard errors */
   TAUEXT_MOVED = 3             /* the point moved farther along the axis than declared: nothing is explained */
@@ -109,12 +109,12 @@ typedef struct tauext_estimate {
   int32_t alarm;          /* tauext_alarm, latched */
   int32_t alarm_joint;    /* joint that raised the alarm to its level; -1: none */
   int64_t alarm_t_ns;     /* time at which the alarm rose to its level, [ns] */
-  int32_t detection;      /* 1: some |tau_ext| exceeds its collision limit at this sample */
-  uint32_t near_stiction;  /* a bit per joint: its limit near stiction applies */
+  int32_t detection;      /* 1: some |tau_ext| exceeds its collision threshold at this sample */
+  uint32_t near_stiction;  /* a bit per joint: its threshold near stiction applies */
   double residual[TAUEXT_MAX_JOINTS];    /* [N m], r of the observer */
   double uncertainty[TAUEXT_MAX_JOINTS]; /* [N m], r expected in free motion: prior, network and drift */
   double tau_ext[TAUEXT_MAX_JOINTS];     /* [N m], residual - uncertainty */
-  double limit_nm[TAUEXT_MAX_JOINTS];    /* [N m], collision limit of |tau_ext|; infinite: not monitored */
+  double limit_nm[TAUEXT_MAX_JOINTS];    /* [N m], collision threshold of |tau_ext|; infinite: not monitored */
   double margin_nm[TAUEXT_MAX_JOINTS];   /* [N m], limit_nm - |tau_ext - load_nm - declared_nm| */
   double drift[TAUEXT_MAX_JOINTS];       /* [N m], slow changes since training; part of uncertainty */
   uint32_t drift_saturated; /* a bit per joint: drift has reached its bound, retrain; health is unchanged */
@@ -124,20 +124,20 @@ typedef struct tauext_estimate {
   double load_kg;                        /* mass that the model carries; 0: none */
   int32_t load_phase;                    /* tauext_load_phase */
   int32_t touch;                         /* tauext_touch: kind of touch behind the alarm */
-  int64_t load_found_ns;                 /* sample at which the last expected load was found; 0: none */
+  int64_t load_found_ns;                 /* sample at which the last expected payload was found; 0: none */
   double load_error_kg;                  /* standard error of its mass, with that of the torque constants */
-  double load_nm[TAUEXT_MAX_JOINTS];     /* [N m], part of tau_ext attributed to an expected load */
+  double load_nm[TAUEXT_MAX_JOINTS];     /* [N m], part of tau_ext attributed to an expected payload */
   double contact_sigma_nm[TAUEXT_MAX_JOINTS];  /* [N m], standard error during and after a contact */
   uint32_t alarm_number;                 /* of the newest alarm, which stands if one does; 0: there was none */
-  int32_t touch_over;                    /* 1: no alarm, or within all limits, and known, for the release time of a contact */
-  int64_t touch_t_ns;                    /* last sample at which some joint was over a limit; 0: none since the last alarm */
-  int32_t declared;                      /* tauext_declared: of the declared contact in effect */
+  int32_t touch_over;                    /* 1: no alarm, or within all thresholds, and known, for the release time of a contact */
+  int64_t touch_t_ns;                    /* last sample at which some joint was over a threshold; 0: none since the last alarm */
+  int32_t declared;                      /* tauext_declared: of the expected contact in effect */
   int32_t declared_contact;              /* its number, of tauext_monitor_expect_contact; -1: none */
   double declared_size;                  /* its force within the cone, however large, [N]; of a joint the torque */
   double declared_sigma;                 /* standard error of that */
   double declared_moment_nm;             /* its moment, [N m] */
   double declared_travel_m;              /* way of its point along the axis since the contact began, [m] */
-  double declared_nm[TAUEXT_MAX_JOINTS]; /* [N m], part of tau_ext that declared contacts explain */
+  double declared_nm[TAUEXT_MAX_JOINTS]; /* [N m], part of tau_ext that expected contacts explain */
 } tauext_estimate;
 
 /* What the arm carries in addition to its own links, in the axes of tauext_monitor_load_frame(). */
@@ -145,13 +145,13 @@ typedef struct tauext_load {
   double mass;        /* [kg]; 0: nothing */
   double com[3];      /* centre of mass in the load frame, [m] */
   double inertia[6];  /* about the centre of mass: xx, yy, zz, xy, xz, yz, [kg m^2]; zeros: a point */
-  double error_share;  /* limits rise by this share of its torques; TAUEXT_USUAL_LOAD_ERROR; 0: exact */
+  double error_share;  /* thresholds rise by this share of its torques; TAUEXT_USUAL_LOAD_ERROR; 0: exact */
 } tauext_load;
 
 #define TAUEXT_USUAL_LOAD_ERROR 0.03
 #define TAUEXT_FROM_NOW INT64_MAX  /* value of since_ns: from the next sample on */
 
-/* Result of weighing. */
+/* Result of a payload identification. */
 typedef enum tauext_load_verdict {
   TAUEXT_TOO_LITTLE_MOTION = 0,  /* less than 0.3 s */
   TAUEXT_NO_LOAD_SHOWS = 1,
@@ -161,20 +161,20 @@ typedef enum tauext_load_verdict {
   TAUEXT_LOAD_UNCLEAR = 5         /* no hypothesis explains the torques */
 } tauext_load_verdict;
 
-/* All members but `load` describe what the arm carries beside the load that is set; lengths and axes are those of
+/* All members but `load` describe what the arm carries beside the payload that is set; lengths and axes are those of
  * the load frame. */
 typedef struct tauext_load_found {
   size_t size;               /* set by the caller: sizeof(tauext_load_found); no more is written */
   int32_t verdict;           /* tauext_load_verdict */
   int32_t mass_seen;         /* 0: the motion does not separate the mass from its lever */
-  tauext_load load;          /* both loads together, for tauext_monitor_set_load */
-  double mass_kg;            /* negative if the arm carries less than the load that is set */
+  tauext_load load;          /* both payloads together, for tauext_monitor_set_load */
+  double mass_kg;            /* negative if the arm carries less than the payload that is set */
   double mass_error_kg;      /* standard error from the errors of tau_ext in this motion */
   double com_m[3];           /* centre of mass, [m] */
   double com_error_m[3];     /* its standard errors, with those of the torque constants, [m] */
   double com_covariance[9];  /* (3, 3), without the torque constants, [m^2] */
   double seconds;            /* duration of the motion, [s] */
-  double misfit;             /* squared standard errors per row that the load leaves: 1 if nothing else acts */
+  double misfit;             /* squared standard errors per row that the payload leaves: 1 if nothing else acts */
   int32_t unseen_count;      /* number of directions of the centre of mass that the motion does not determine */
   int32_t at_bound;          /* 1: the centre of mass is at reach_m */
   double unseen[9];          /* (unseen_count, 3), unit vectors */
@@ -231,7 +231,7 @@ typedef struct tauext_contact_bounds {
 typedef struct tauext_tool_force {
   size_t size;           /* set by the caller: sizeof(tauext_tool_force); no more is written */
   int32_t frame;         /* where it acts; -1: there is no tool's frame */
-  int32_t declared;      /* 1: at the declared contact in effect; 0: at the load frame */
+  int32_t declared;      /* 1: at the expected contact in effect; 0: at the load frame */
   double motion_n;       /* standard errors of the force along itself: errors of free motion, */
   double rest_n;         /* friction that resting joints hide, and lag, */
   double constants_n;    /* torque constants and gear friction under the load */
@@ -291,22 +291,22 @@ tauext_status tauext_monitor_no_sample(tauext_monitor* monitor, int64_t now_ns, 
 /* Ends a latched alarm and does nothing else. If the cause persists, the alarm rises again. */
 tauext_status tauext_monitor_acknowledge(tauext_monitor* monitor);
 /* Ends a latched alarm of an arm that nothing touches any more and that is about to move on. The static friction of
- * joints near stiction becomes unknown; with a prior, their limits are higher until they have slid. */
+ * joints near stiction becomes unknown; with a prior, their thresholds are higher until they have slid. */
 tauext_status tauext_monitor_resume(tauext_monitor* monitor);
-/* Multiplies the bundle's limits by one factor per joint, 0.1 to 10. Returns TAUEXT_BAD_ARGUMENT and changes
+/* Multiplies the bundle's thresholds by one factor per joint, 0.1 to 10. Returns TAUEXT_BAD_ARGUMENT and changes
  * nothing for other values. */
 tauext_status tauext_monitor_set_limit_factors(tauext_monitor* monitor, const double* collision, const double* contact);
 /* Sets the joint temperatures [degC] from the next sample on; NaN: unknown, the last known value remains in effect.
  * Call it for each new value. Used if training found that friction follows them. */
 tauext_status tauext_monitor_set_temperature(tauext_monitor* monitor, const double* celsius);
 /* Sets what the arm carries from the next sample on, or as if it had been set at since_ns, in sample time (see
- * monitor.hpp). Returns TAUEXT_BAD_LOAD and changes nothing if the load is refused. */
+ * monitor.hpp). Returns TAUEXT_BAD_LOAD and changes nothing if the payload is refused. */
 tauext_status tauext_monitor_set_load(tauext_monitor* monitor, const tauext_load* load, int64_t since_ns);
-/* Removes the load. */
+/* Removes the payload. */
 tauext_status tauext_monitor_clear_load(tauext_monitor* monitor, int64_t since_ns);
 /* Announces that the gripper closes or opens: for `seconds` (at most 60), the arm may come to carry up to
- * at_most_kg in all. A step that fits is weighed, set and reported (load_phase, load_found_ns). Any other step
- * raises the usual alarm, late if it first resembled a load. Returns TAUEXT_BAD_LOAD if
+ * at_most_kg in all. A step that fits is identified, set and reported (load_phase, load_found_ns). Any other step
+ * raises the usual alarm, late if it first resembled a payload. Returns TAUEXT_BAD_LOAD if
  * tauext_monitor_why_not_expected gives a reason. */
 tauext_status tauext_monitor_expect_load(tauext_monitor* monitor, double seconds, double at_most_kg);
 /* Writes the reason for a refusal, cut to message_size; "": none. Allocates: not for the loop. */
@@ -317,7 +317,7 @@ tauext_status tauext_monitor_why_not_expected(const tauext_monitor* monitor, dou
  * tauext_monitor_why_no_contact gives a reason. */
 tauext_status tauext_monitor_expect_contact(tauext_monitor* monitor, const tauext_contact_bounds* contact, double seconds,
                                             int32_t* which);
-/* Ends a declared contact at once; TAUEXT_BAD_CONTACT: there is none of this number. */
+/* Ends an expected contact at once; TAUEXT_BAD_CONTACT: there is none of this number. */
 tauext_status tauext_monitor_end_contact(tauext_monitor* monitor, int32_t which);
 /* Write, cut to message_size, the reason for a refusal, or what is not monitored while the contact is in effect; "":
  * none, nothing. Allocate: not for the loop. */
@@ -325,16 +325,16 @@ tauext_status tauext_monitor_why_no_contact(const tauext_monitor* monitor, const
                                             double seconds, char* message, size_t message_size);
 tauext_status tauext_monitor_unmonitored(const tauext_monitor* monitor, const tauext_contact_bounds* contact, char* message,
                                          size_t message_size);
-/* The force on the tool at the last sample: at the declared contact in effect, else at the load frame. */
+/* The force on the tool at the last sample: at the expected contact in effect, else at the load frame. */
 tauext_status tauext_monitor_tool_force(const tauext_monitor* monitor, tauext_axes axes, tauext_tool_force* tool);
-/* Reads the load in effect. */
+/* Reads the payload in effect. */
 tauext_status tauext_monitor_load(const tauext_monitor* monitor, tauext_load* load);
-/* Writes the reason for which this load would be refused, cut to message_size; "": accepted. Allocates: not for the
+/* Writes the reason for which this payload would be refused, cut to message_size; "": accepted. Allocates: not for the
  * loop. */
 tauext_status tauext_monitor_why_no_load(const tauext_monitor* monitor, const tauext_load* load, int64_t since_ns,
                                          char* message, size_t message_size);
-const char* tauext_monitor_load_frame(const tauext_monitor* monitor);  /* "": no load can be set */
-/* Starts to weigh what the arm carries beside the load that is set, from the next sample on (see monitor.hpp). The
+const char* tauext_monitor_load_frame(const tauext_monitor* monitor);  /* "": no payload can be set */
+/* Starts to identify what the arm carries beside the payload that is set, from the next sample on (see monitor.hpp). The
  * centre of mass is within reach_m > 0 of the load frame; the default is TAUEXT_USUAL_REACH_M. Changes nothing and
  * returns TAUEXT_BAD_LOAD if the bundle cannot weigh, TAUEXT_BAD_ARGUMENT for another reach. The result remains
  * after stop. */
@@ -353,14 +353,14 @@ tauext_status tauext_monitor_wrench(const tauext_monitor* monitor, int32_t frame
 tauext_status tauext_monitor_force(const tauext_monitor* monitor, int32_t frame, const double* point, tauext_axes axes,
                                    tauext_wrench* wrench);
 /* How often the stamps jumped: they went back, stood still for 100 samples, or a gap exceeded 10 s. Everything with a time ended
- * then: contacts declared for a time, an expected load (an alarm that was held back is raised), weighing, motion for a refit. Ask
+ * then: expected contacts with a time, an expected payload (an alarm that was held back is raised), an identification, motion for a refit. Ask
  * for it again. 0 for a null pointer. */
 uint64_t tauext_monitor_clock_jumps(const tauext_monitor* monitor);
 /* Returns to the state of a new monitor. */
 tauext_status tauext_monitor_reset(tauext_monitor* monitor);
 
 /* Motion for a refit. reserve allocates memory for `seconds` of samples, above 0 and at most 600; call it before
- * the loop. From start to finish, motion is stored and limits are higher by friction_share of the joint's friction,
+ * the loop. From start to finish, motion is stored and thresholds are higher by friction_share of the joint's friction,
  * 0 to 2 (default 0.4). start returns TAUEXT_BAD_ARGUMENT without memory, or without friction in the prior. full: 1
  * if the memory is full. start, full and finish do not allocate, lock, log or call the system. */
 tauext_status tauext_monitor_reserve_refit(tauext_monitor* monitor, double seconds);

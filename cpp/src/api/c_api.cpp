@@ -236,7 +236,7 @@ const char* tauext_status_name(tauext_status status) {
     case TAUEXT_BAD_BUNDLE: return "bad bundle";
     case TAUEXT_NO_MEMORY: return "no memory";
     case TAUEXT_BAD_STATE: return "bad state";
-    case TAUEXT_BAD_LOAD: return "bad load";
+    case TAUEXT_BAD_LOAD: return "bad payload";
     case TAUEXT_BAD_CONTACT: return "bad contact";
   }
   return "";

@@ -181,8 +181,8 @@ void Monitor::Chain::end_by_jump() noexcept {
 
 std::string Monitor::why_no_weighing() const {
   if (chain_->weighing) return "";
-  if (chain_->load_settings.link < 0) return "no load can be weighed: " + chain_->load_settings.refused;
-  return "no load can be weighed: the bundle's residual is not that of the momentum observer without filters";
+  if (chain_->load_settings.link < 0) return "no payload can be identified: " + chain_->load_settings.refused;
+  return "no payload can be identified: the bundle's residual is not that of the momentum observer without filters";
 }
 
 void Monitor::reserve_refit(double seconds) {

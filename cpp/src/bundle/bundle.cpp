@@ -63,7 +63,7 @@ std::vector<double> Bundle::most_units_per_nm() const {
 void Bundle::assume_load() {
   load = assumed_load_settings(links, prior.corrected_links);
   if (!load.settable()) return;
-  load.refused = too_few_in_newtons("a mass weighs newtons");
+  load.refused = too_few_in_newtons("the pull of a mass is in newtons");
   if (!load.settable()) load.link = -1;
 }
 

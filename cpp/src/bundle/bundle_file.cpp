@@ -222,7 +222,7 @@ Bundle decode(std::span<const char> bytes) {
   Reader reader(payload);
   Bundle bundle;
   field(reader, bundle);
-  const auto unknown = [] { return Error("it has contents that this version does not know"); };
+  const auto unknown = [] { return Error("it has contents of a later version"); };
   try {
     if (!reader.done()) of_known_weight(reader, bundle);
   } catch (const Error&) {

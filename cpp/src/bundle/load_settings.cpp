@@ -85,25 +85,25 @@ std::string LoadSettings::words(LoadFault fault, const Load& load) const {
   const double trace = load.inertia[0] + load.inertia[1] + load.inertia[2];
   switch (fault) {
     case LoadFault::none: return "";
-    case LoadFault::not_settable: return "no load can be set: " + refused;
-    case LoadFault::not_finite: return "a number of the load is not finite";
-    case LoadFault::negative_mass: return "the load's mass = " + to_text(load.mass) + " kg must be >= 0";
+    case LoadFault::not_settable: return "no payload can be set: " + refused;
+    case LoadFault::not_finite: return "a number of the payload is not finite";
+    case LoadFault::negative_mass: return "the payload's mass = " + to_text(load.mass) + " kg must be >= 0";
     case LoadFault::too_heavy:
-      return "the load's mass = " + to_text(load.mass) + " kg must be at most " + to_text(largest_mass_kg) +
+      return "the payload's mass = " + to_text(load.mass) + " kg must be at most " + to_text(largest_mass_kg) +
              " kg, what this arm can carry where its training was";
     case LoadFault::too_far:
-      return "the load's centre of mass is " + to_text(length(load.com)) + " m from the origin of " + frame +
+      return "the payload's centre of mass is " + to_text(length(load.com)) + " m from the origin of " + frame +
              " and must be at most " + to_text(largest_reach_m) + " m";
     case LoadFault::impossible_inertia:
-      return "no body has the load's inertia: it must be positive semidefinite, and no principal moment more than the "
+      return "no body has the payload's inertia: it must be positive semidefinite, and no principal moment more than the "
              "sum of the other two";
     case LoadFault::too_wide:
-      return "a load of " + to_text(load.mass) + " kg cannot have a sum of moments of inertia of " + to_text(trace) +
+      return "a payload of " + to_text(load.mass) + " kg cannot have a sum of moments of inertia of " + to_text(trace) +
              " kg m^2: at most twice its mass times the square of " + to_text(largest_reach_m) + " m";
     case LoadFault::error_share:
-      return "the load's error_share = " + to_text(load.error_share) + " must be 0 to 1";
+      return "the payload's error_share = " + to_text(load.error_share) + " must be 0 to 1";
     case LoadFault::no_past:
-      return "the load can only be set from now on: r of this bundle's residual cannot be found anew since an earlier time";
+      return "the payload can only be set from now on: r of this bundle's residual cannot be computed again since an earlier time";
   }
   return "";
 }
@@ -165,7 +165,7 @@ LoadSettings assumed_load_settings(const std::vector<Link>& links, const std::ve
   if (leaves > 1) {
     settings.link = -1;
     settings.refused = "the arm branches into " + std::to_string(leaves) +
-                       " ends, and the bundle does not say which one carries a load";
+                       " ends, and the bundle does not name the one that carries a payload";
     return settings;
   }
   settings.frame = "link of " + links[static_cast<std::size_t>(settings.link)].joint_name;

@@ -177,11 +177,11 @@ void Limits::validate(int joints, int widths) const {
     const double all[] = {collision.sliding_nm[at], collision.near_stiction_nm[at], contact.sliding_nm[at], contact.near_stiction_nm[at]};
     const auto finite = std::ranges::count_if(all, [](double limit) { return std::isfinite(limit); });
     if (finite != 0 && finite != 4)
-      throw Error("limits of joint " + std::to_string(j) + " must all be finite, or all infinite (not monitored)");
+      throw Error("thresholds of joint " + std::to_string(j) + " must all be finite, or all infinite (not monitored)");
   }
   bool any = false;
   for (int j = 0; j < joints; ++j) any = any || monitors(j);
-  if (!any) throw Error("limits of every joint are infinite: nothing would be monitored");
+  if (!any) throw Error("thresholds of every joint are infinite: nothing would be monitored");
   expect_time("limits.contact_release_s", contact_release_s);
   expect_time("limits.near_memory_s", near_memory_s);
   expect(within(1, LimitFactors::kHighest)(after_contact_factor), "limits.after_contact_factor", after_contact_factor,

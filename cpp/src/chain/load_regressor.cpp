@@ -48,11 +48,11 @@ Screws momenta(const Screw& v) noexcept {
 
 void LoadFrame::validate(int links) const {
   if (link < 0 || link >= links)
-    throw Error("a load is fixed to link " + std::to_string(link) + ", which must be one of the " +
+    throw Error("a payload is fixed to link " + std::to_string(link) + ", which must be one of the " +
                 std::to_string(links) + " links");
   for (double value : translation)
-    if (!(std::fabs(value) <= kFarthestFrame_m)) throw Error("the load's frame must lie within 1000 m of its link");
-  if (!is_rotation(rotation)) throw Error("the rotation of the load's frame is not one: orthonormal, right-handed");
+    if (!(std::fabs(value) <= kFarthestFrame_m)) throw Error("the payload's frame must lie within 1000 m of its link");
+  if (!is_rotation(rotation)) throw Error("the rotation of the payload's frame is not one: orthonormal, right-handed");
 }
 
 LoadRegressor::LoadRegressor(const Tree& tree, const LoadFrame& frame)

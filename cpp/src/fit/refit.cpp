@@ -212,8 +212,8 @@ RefitRows refit_rows(const Bundle& bundle, std::span<const RefitSource> sources,
     const RefitSource& source = sources[number];
     const RecordingView& r = source.recording;
     if (!source.use.empty() && source.use.size() != static_cast<std::size_t>(r.samples))
-      throw Error("a refit's source has " + std::to_string(r.samples) + " samples, and says of " +
-                  std::to_string(source.use.size()) + " whether they are used");
+      throw Error("a refit's source has " + std::to_string(r.samples) + " samples, and flags for " +
+                  std::to_string(source.use.size()) + " of them");
     const Estimates said = estimate(plain, r, threads);
     const Entered kept = entered_samples(r, said);
     const RecordingView clean{static_cast<std::int64_t>(kept.t_ns.size()), r.joints, kept.t_ns.data(), kept.q.data(),
@@ -615,7 +615,7 @@ void expect_explained(const Bundle& bundle, int joint, double error_ratio) {
   if (!(error_ratio > kMostLeft)) return;
   throw Error("joint '" + bundle.links[static_cast<std::size_t>(joint)].joint_name + "': the error that friction does not explain is " +
               to_text(error_ratio) + " times the error that training left, at most " + to_text(kMostLeft) +
-              " is allowed; check for another load or tool and for long contacts, or train again");
+              " is allowed; check for another payload or tool and for long contacts, or train again");
 }
 
 }  // namespace

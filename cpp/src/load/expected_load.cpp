@@ -67,7 +67,7 @@ ExpectedLoad::ExpectedLoad(const Bundle& bundle)
 
 std::string ExpectedLoad::why_not(double seconds, double at_most_kg) const {
   if (!(seconds > 0 && seconds <= kLongestWindow_s))
-    return "a load can be expected for " + to_text(kLongestWindow_s) + " s at most, more than 0, not for " + to_text(seconds) + " s";
+    return "a payload can be expected for " + to_text(kLongestWindow_s) + " s at most, more than 0, not for " + to_text(seconds) + " s";
   if (!(at_most_kg >= 0 && at_most_kg <= settings_.largest_mass_kg))
     return "at_most_kg = " + to_text(at_most_kg) + " must be 0 to " + to_text(settings_.largest_mass_kg) +
            " kg, what this arm can carry where its training was";

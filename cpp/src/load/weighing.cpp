@@ -44,7 +44,7 @@ Weighing::Weighing(const Bundle& bundle)
     counts_[static_cast<std::size_t>(j)] = bundle.in_newtons(j);
     factor_[static_cast<std::size_t>(j)] = bundle.wrench.factor(static_cast<std::size_t>(j));
   }
-  if (!possible(bundle)) throw Error("weighing a load needs the unfiltered momentum observer and a load frame in the bundle");
+  if (!possible(bundle)) throw Error("payload identification needs the unfiltered momentum observer and a load frame in the bundle");
 }
 
 // Standard deviations of the offset and the Coulomb friction that are found beside a load: 2 % and 6 % of a joint's

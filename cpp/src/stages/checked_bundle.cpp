@@ -126,7 +126,7 @@ void Bundle::validate() const {
     expect_size("servo.joints", servo.joints.size(), links.size());
   }
   if (load.settable() && !tree.has_mass() && prior.corrected_links.empty())
-    throw Error("its loads can be set, but no model can carry one");
+    throw Error("its payloads can be set, but no model can carry one");
   const auto samples = reference.t_ns.size();
   if (samples == 0) throw Error("its reference is empty");
   expect_size("reference.q", reference.q.size(), samples * n);

@@ -163,25 +163,25 @@ std::string DeclaredContacts::words(ContactFault fault, const DeclaredContact& c
   const std::string where = contact.at_frame() && contact.frame < wrench_->frames() ? " at '" + wrench_->frame(contact.frame).name + "'" : "";
   switch (fault) {
     case ContactFault::none: return "";
-    case ContactFault::no_frame: return "a declared contact needs one frame of the bundle, or one of its joints";
-    case ContactFault::no_wrench: return "no contact at a frame can be declared: " + wrench_->refused();
-    case ContactFault::not_finite: return "the numbers of a declared contact" + where + " must be finite";
+    case ContactFault::no_frame: return "an expected contact needs one frame of the bundle, or one of its joints";
+    case ContactFault::no_wrench: return "no contact at a frame can be expected: " + wrench_->refused();
+    case ContactFault::not_finite: return "the numbers of an expected contact" + where + " must be finite";
     case ContactFault::no_cone:
-      return "half_angle = " + to_text(contact.half_angle_rad) + " rad of a declared contact" + where +
+      return "half_angle = " + to_text(contact.half_angle_rad) + " rad of an expected contact" + where +
              " must be 0 to pi/2 about an axis; without an axis, any direction is declared and there is no angle";
     case ContactFault::no_size:
-      return "a declared contact" + where + " of at most " + to_text(contact.at_most_n) + " N and " + to_text(contact.at_most_nm) +
+      return "an expected contact" + where + " of at most " + to_text(contact.at_most_n) + " N and " + to_text(contact.at_most_nm) +
              " N m must admit a force or a torque above 0; one of a joint has a torque only";
     case ContactFault::no_travel:
-      return "at_most_travel = " + to_text(contact.at_most_travel_m) + " m of a declared contact" + where + " must be above 0, along an axis at a frame";
+      return "at_most_travel = " + to_text(contact.at_most_travel_m) + " m of an expected contact" + where + " must be above 0, along an axis at a frame";
     case ContactFault::no_box:
-      return "the box of a declared contact" + where + " must be of a frame, its lowest corner below its highest in x, y and z";
-    case ContactFault::no_time: return "the time of a declared contact" + where + " = " + to_text(seconds) + " s must be above 0";
+      return "the box of an expected contact" + where + " must be of a frame, its lowest corner below its highest in x, y and z";
+    case ContactFault::no_time: return "the time of an expected contact" + where + " = " + to_text(seconds) + " s must be above 0";
     case ContactFault::explains_everything:
       return "the contact" + where + " would explain any torque of the joints before it, and nothing would be monitored; declare no moment, "
              "or a line (half_angle 0)";
     case ContactFault::bounds_nothing: return bound_words(contact, where);
-    case ContactFault::too_many: return "at most " + std::to_string(kMostContacts) + " contacts can be declared at the same time; end one first";
+    case ContactFault::too_many: return "at most " + std::to_string(kMostContacts) + " contacts can be expected at the same time; end one first";
   }
   return "";
 }
@@ -251,13 +251,13 @@ bool DeclaredContacts::bounds_nothing(const DeclaredContact& contact) const noex
 
 std::string DeclaredContacts::bound_words(const DeclaredContact& contact, const std::string& where) const {
   if (!contact.at_frame())
-    return "at_most_nm = " + to_text(contact.at_most_nm) + " of a declared contact of joint '" +
+    return "at_most_nm = " + to_text(contact.at_most_nm) + " of an expected contact of joint '" +
            wrench_->links()[static_cast<std::size_t>(contact.joint)].joint_name + "' must be below " + to_text(drive_nm_[contact.joint]) +
            ", the most that its drive can give; no torque of the joint would be monitored";
   const double most_n = most_exerted(contact, false);
   const bool force = contact.at_most_n > 0 && !(contact.at_most_n < most_n);
   return (force ? "at_most_n = " + to_text(contact.at_most_n) + " N" : "at_most_nm = " + to_text(contact.at_most_nm) + " N m") +
-         " of a declared contact" + where + " must be below " +
+         " of an expected contact" + where + " must be below " +
          (force ? to_text(most_n) + " N" : to_text(most_exerted(contact, true)) + " N m") +
          ", the most that the drives can exert at its point; no force would be monitored";
 }

@@ -181,8 +181,8 @@ bool solve_wrench(std::span<double> s, std::span<double> columns, std::span<cons
 
 std::string why_none(const Bundle& bundle) {
   if (std::ranges::none_of(bundle.links, [](const Link& link) { return link.mass > 0; }))
-    return "the bundle has no model of the arm (case none): nothing tells where its links are";
-  if (!bundle.error_scale.on()) return "the bundle does not say how wrong tau_ext may be (it has no error scale)";
+    return "the bundle has no model of the arm (case none): the places of its links are unknown";
+  if (!bundle.error_scale.on()) return "the bundle has no error scale, and so no errors of tau_ext";
   if (bundle.observer.high_pass_per_s > 0 || bundle.observer.low_pass_per_s > 0)
     return "its residual is filtered, which turns the direction of a touch; train one without filters (recipe observer or prior)";
   if (bundle.observer.method == ResidualMethod::energy) return "the bundle answers in W, and a force is in newtons";

@@ -97,12 +97,12 @@ def change_words(load: LoadChange | None, errors: Mapping[str, float], why: str)
         more = f"{abs(load.mass_kg):.2f} kg {'more' if load.mass_kg > 0 else 'less'}"
         at = "" if load.lever_m is None else f", {1e3 * load.lever_m:.0f} mm from the origin of {load.frame}"
         within = f"within {max(load.within_kg, 0.01):.2f} kg{at}"
-        return f"the hand carries {more} than in training ({within}): another tool or load?"
+        return f"the hand carries {more} than in training ({within}): another tool or payload?"
     odd = {joint: error for joint, error in errors.items() if error > USUAL}
     if odd and len(odd) <= max(1, len(errors) // 3) and min(odd.values()) >= ODD:
         named = " and ".join(f"{joint} (error {error:.3g} times that of training)" for joint, error in odd.items())
         return f"only {named} {'is' if len(odd) == 1 else 'are'} not as before: gear, damage, or a weight on that link?"
-    return f"the arm is not as before, and no friction explains it (tool, load or damage?): {why}"
+    return f"the arm is not as before, and no friction explains it (tool, payload or damage?): {why}"
 
 
 # --- Days: the first strokes after a pause, and motion full of alarms, are compared with earlier days.
@@ -184,7 +184,7 @@ class DayComparison:
         facts["friction"] = {joint: round(factor, 4) for joint, factor in factors.items()}
         earlier = [one["friction"] for one in compared(history) if one.get("friction")]
         if steps := named_steps(factors, {one.joint: one.coulomb[1] for one in refitted.joints}, earlier):
-            causes = "a replaced gear, wear or damage" if errors else "a replaced gear, wear, damage or another load"
+            causes = "a replaced gear, wear or damage" if errors else "a replaced gear, wear, damage or another payload"
             return self._ask(f"{'; '.join(steps)}: {causes}?", facts)
         words = ", ".join(f"{joint} {factor:.2f}" for joint, factor in factors.items())
         folder.note(

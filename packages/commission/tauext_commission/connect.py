@@ -88,7 +88,7 @@ REMEDIES = {
     "spike": "no action is needed while it is rare: a lost or mixed-up message, or a glitch of a sensor",
     "joint-names": "give the robot file of this arm (--robot), or name the joints in the driver as the file does",
     "effort-scale": "for a current, no action is needed: training finds the torque constants; for another unit, let "
-    "the driver send N m; if the arm carries a load, add it to the robot file",
+    "the driver send N m; if the arm carries a payload, add it to the robot file",
 }
 """Remedies that differ from those of `tauext check`, which are about an import."""
 MOVE = "let the arm run its program"

@@ -69,11 +69,11 @@ def test_a_load_is_named_with_its_error_and_its_place():
     more = LoadChange(1.424, 0.104, 0.1984, "the frame tool0")
     assert change_words(more, {}, WHY) == (
         "the hand carries 1.42 kg more than in training (within 0.10 kg, 198 mm from the origin of the frame tool0): "
-        "another tool or load?"
+        "another tool or payload?"
     )
     less = LoadChange(-0.8, 0.001, None, "")
     assert change_words(less, {"a": 9.0}, WHY) == (
-        "the hand carries 0.80 kg less than in training (within 0.01 kg): another tool or load?"
+        "the hand carries 0.80 kg less than in training (within 0.01 kg): another tool or payload?"
     )
 
 
@@ -85,7 +85,7 @@ def test_a_load_is_named_with_its_error_and_its_place():
         ((1.0, 2.3, 7.3), "the arm is not as before"),
         ((1.0, 1.2, 4.0), "the arm is not as before"),
         ((1.0, 1.0, 1.0), "the arm is not as before"),
-        ((), "the arm is not as before, and no friction explains it (tool, load or damage?): no reason"),
+        ((), "the arm is not as before, and no friction explains it (tool, payload or damage?): no reason"),
     ],
 )
 def test_single_joints_are_named_if_the_others_are_as_before(errors, words):

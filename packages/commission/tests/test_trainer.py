@@ -455,7 +455,7 @@ def test_a_step_between_days_is_named_and_waits_for_an_answer(copy, motion, monk
     assert [one.step() for _ in range(2)] == ["morning", "nothing"] and one.facts().is_asking
     asked = question(copy)
     named = re.match(r"the hand carries ([0-9.]+) kg more than in training", asked["words"])
-    assert named and abs(float(named[1]) - 1.5) < 0.2 * 1.5 and asked["words"].endswith("another tool or load?")
+    assert named and abs(float(named[1]) - 1.5) < 0.2 * 1.5 and asked["words"].endswith("another tool or payload?")
     copy.append_reply(answer, "page")
     assert one.step() == "answer" and not question(copy)
     assert one.facts().trained_min == (0 if answer == "learn" else 1) and active(copy) == "b0001"

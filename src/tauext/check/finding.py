@@ -39,7 +39,7 @@ CODES = {
     "model-unusable": "the robot file cannot be used",
     "never-moves": "no joint moves",
     "odd-recording": "a recording disagrees with the others in unit, sign, order, zero, scale or load",
-    "payload": "the arm carries another load than the model",
+    "payload": "the arm carries another payload than the model",
     "position-offset": "a joint's zero position differs from the robot file's",
     "position-wraps": "a position jumps by whole turns",
     "promise-worse": "the recordings prove only a higher false alarm rate than the bundle's",

@@ -383,9 +383,9 @@ def payload_of(x: Examination, strong: Sequence[int]) -> tuple[Finding, _core.Tr
         return None
     changes = ", ".join(f"'{x.joints[j]}' {load.error_without_nm[j]:.3g} to {load.error_nm[j]:.3g}" for j in strong)
     what, advice = (
-        ("a load that the model lacks", "add the tool or payload to the model, fixed to the last link")
+        ("a payload that the model lacks", "add the tool or payload to the model, fixed to the last link")
         if load.mass_kg > 0
-        else ("less load than the model has", "remove the tool or hand that is not mounted from the model")
+        else ("less payload than the model has", "remove the tool or hand that is not mounted from the model")
     )
     evidence = (
         f"{what}: {abs(load.mass_kg):.2f} ± {load.mass_error_kg:.1g} kg at "

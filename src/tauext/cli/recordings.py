@@ -76,7 +76,7 @@ def import_data(
 def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) -> None:
     """Write the commented arm.toml; nothing is overwritten."""
     from tauext.data.description import GUESSED, open_entries
-    from tauext.data.description_template import RATE, Guess, guess, guess_values, template
+    from tauext.data.description_template import RATE, Guess, guess_of, template
     from tauext.data.importers.open_raw import open_raw
     from tauext.data.importers.raw import short_list, whole
     from tauext.files.plain_file import parse_toml
@@ -95,8 +95,7 @@ def write_template(path: Path, sources: tuple[Path, ...], robot: Path | None) ->
         with whole(sources[0], "a recording", ()):
             (first, *_) = open_raw(sources[0])
             streams = first.streams
-            guessed = guess(streams, joints, first.units)
-            guess_values(guessed, first)
+            guessed = guess_of(first, joints)
     text = template(guessed, model, joints, list(streams))
     write_text(path, text)
     print(path)

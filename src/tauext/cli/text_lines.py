@@ -105,7 +105,7 @@ class TextLines(PrintContext):
 
     def flight(self, news: FlightNews) -> None:
         self._event(
-            news.t_ns, f"flight: {news.path}" if news.path else f"event log of the {news.what} lost: {news.error}"
+            news.t_ns, f"event log: {news.path}" if news.path else f"event log of the {news.what} lost: {news.error}"
         )
 
     def note(self, text: str) -> None:

@@ -31,6 +31,9 @@ from tauext.data.column_names import (
 from tauext.data.description import GUESSED, SIGNALS, TABLES, TIME_UNITS, SignalTable
 from tauext.data.importers.raw import RawRecording, RawSignals, short_list
 from tauext.data.joint_names import GRIPPER, match_joints
+from tauext.data.recording import FLAGS
+from tauext.data.recording_file import Description
+from tauext.data.servo import in_amperes
 from tauext.files.typed_table import comment_lines, key_help, table_lines
 
 
@@ -54,6 +57,40 @@ class Guess:
     """Values of other keys that the recording's numbers show, by "table.key"."""
     why: dict[str, str] = field(default_factory=dict)
     """Evidence of guesses, a sentence by "table.key"."""
+
+
+def guess_of(raw: RawRecording, robot: Sequence[str] = ()) -> Guess:
+    """Guess the signals of a raw recording from names and numbers; of a recording that tauext wrote, as it states.
+
+    Args:
+        robot: joints of the robot file.
+    """
+    if raw.recorded is not None:
+        return _stated(raw.recorded)
+    found = guess(raw.streams, robot, raw.units)
+    guess_values(found, raw)
+    return found
+
+
+def _stated(head: Description) -> Guess:
+    """The signals of a recording that tauext wrote, by its metadata."""
+    servo = head.provenance.get("servo")
+    made_of = str(servo.get("torque_from", "")).replace("_", "-") if isinstance(servo, dict) else "torque"
+    computed = ({"dq"} if servo else set()) | ({"tau"} if made_of != "torque" else set())
+    columns = {name: f"{name}_{JOINT}" for name in head.signals if name in SIGNALS and name not in computed}
+    columns |= {"time": "t_ns"} | ({"label": "contact"} if "contact" in head.signals else {})
+    found = Guess(columns, joint_names=head.joints, arm=frozenset(head.joints), count=len(head.joints))
+    found.units |= {"time": "ns", "tau": "A" if in_amperes([head]) else "Nm"}
+    found.unused = [f"{name}_{JOINT}" for name in head.signals if name not in SIGNALS and name not in FLAGS]
+    timing = f"{'servo' if 'tau' in computed else 'signals.tau'}.timing"
+    found.values[timing] = head.torque_timing
+    found.why |= dict.fromkeys(("robot.joints", "signals.tau.unit", timing), "as the file states")
+    if servo:
+        found.values["servo.torque_from"] = GUESSED + made_of
+        found.why["servo.torque_from"] = (
+            "velocity and torque were computed from what servos report: copy [servo] from the arm.toml of the training"
+        )
+    return found
 
 
 ONE_A_ROW = ("time", "label")
@@ -495,9 +532,9 @@ def template(guessed: Guess, model: str = "", joints: Sequence[str] = (), topics
     }
     signals = {name: _signal(guessed, name, columns.get(name, NEEDED.get(name, name))) for name in SIGNALS}
     in_force = {*found, *NEEDED, *columns}
-    if made_of := _torque_source(guessed):
+    if made_of := guessed.values.get("servo.torque_from", "").removeprefix(GUESSED) or _torque_source(guessed):
         found["servo"] = {"torque_from": made_of}
-        in_force = (in_force | {"servo"}) - {"tau"}
+        in_force = (in_force | {"servo"}) - ({"tau"} if made_of != "torque" else set())
     if len(topics) > 1 and guessed.topic:
         signals |= {name: signals[name] | {"topic": guessed.topic} for name in NEEDED}
     for entry, value in guessed.values.items():

@@ -16,6 +16,7 @@ import numpy as np
 from tauext.config import checked
 from tauext.data.labels import epoch_of, has_labels, overlay, read_labels
 from tauext.data.recording import FLAGS, REQUIRED_SIGNALS, SIGNALS, Recording, check_joints
+from tauext.data.servo import in_amperes
 from tauext.errors import RecordingError
 from tauext.files.atomic_write import atomic_write
 from tauext.files.kind import why_no_recording
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     import pyarrow.parquet as pq
 
 UNITS = {"t": "ns", "q": "rad", "dq": "rad/s", "tau": "N m"}
+"""Units by quantity; tau of a motor current with unknown torque constants is in A."""
 TEXTS = ("tauext_format", "joints", "units", "rate_hz", "torque_timing", "source", "robot_sha256", "provenance")
 """Keys of the schema's metadata, all required."""
 ROW_GROUP = 225_000
@@ -90,7 +92,8 @@ def save_recording(recording: Recording, path: Path | str) -> None:
     floats = list(columns)[1:]
     flags = [flag for flag in FLAGS if getattr(recording, flag) is not None]
     columns |= {flag: getattr(recording, flag) for flag in flags}
-    texts = [str(FORMAT), json.dumps(recording.joints), json.dumps(UNITS), repr(recording.rate_hz)]
+    units = UNITS | ({"tau": "A"} if in_amperes([recording]) else {})
+    texts = [str(FORMAT), json.dumps(recording.joints), json.dumps(units), repr(recording.rate_hz)]
     texts += [recording.torque_timing, recording.source, recording.robot_sha256, json.dumps(recording.provenance)]
     table = pa.table(columns).replace_schema_metadata(dict(zip(TEXTS, texts, strict=True)))
     encoding = {"t_ns": "DELTA_BINARY_PACKED"} | dict.fromkeys(floats, "BYTE_STREAM_SPLIT")
@@ -267,11 +270,6 @@ def read_head(path: Path, file: pq.ParquetFile) -> Description:
     for key in TEXTS:
         if key not in texts:
             raise RecordingError(f"{path}: its metadata has no '{key}'; needed are {', '.join(TEXTS)}")
-    units = parse_json(path, "units", texts["units"], dict)
-    for quantity, unit in UNITS.items():
-        if (found := units.get(quantity, "missing")) != unit:
-            rule = f"must be '{unit}'; convert the columns and write the recording again"
-            raise RecordingError(f"{path}: the unit of {quantity} is {found!r}, {rule}")
     joints = check_joints(parse_json(path, "joints", texts["joints"], list), str(path))
     try:
         rate_hz = float(texts["rate_hz"])
@@ -282,7 +280,14 @@ def read_head(path: Path, file: pq.ParquetFile) -> Description:
     signals, provenance = held + tuple(one for one in FLAGS if one in names), texts["provenance"]
     facts = (texts["torque_timing"], texts["source"], texts["robot_sha256"])
     provenance = parse_json(path, "provenance", provenance, dict)
-    return Description(path.stem, joints, signals, file.metadata.num_rows, rate_hz, *facts, provenance)
+    head = Description(path.stem, joints, signals, file.metadata.num_rows, rate_hz, *facts, provenance)
+    units = parse_json(path, "units", texts["units"], dict)
+    for quantity, unit in UNITS.items():
+        found = units.get(quantity, "missing")
+        if found != unit and not (quantity == "tau" and found == "A" and in_amperes([head])):
+            rule = f"must be '{unit}'; convert the columns and write the recording again"
+            raise RecordingError(f"{path}: the unit of {quantity} is {found!r}, {rule}")
+    return head
 
 
 def check_columns(path: Path, head: Description, schema: pa.Schema) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -22,7 +22,14 @@ AMPERES = "amperes: the torque constant is unknown"
 FROM_AMPERES = "N m: amperes times given torque constants"
 
 
-def in_amperes(recordings: Sequence[Recording]) -> bool:
+class _Recorded(Protocol):
+    """A recording, or the metadata of its file."""
+
+    @property
+    def provenance(self) -> dict[str, Any]: ...
+
+
+def in_amperes(recordings: Sequence[_Recorded]) -> bool:
     """Whether any recording has currents with unknown torque constants."""
     return _unscaled(recordings, AMPERES)
 
@@ -38,7 +45,7 @@ def torque_unit(recordings: Sequence[Recording]) -> str:
 
 
 # Flights of tauext 0.1 contain torques that are already multiplied, as their provenance states.
-def _unscaled(recordings: Sequence[Recording], torque: str) -> bool:
+def _unscaled(recordings: Sequence[_Recorded], torque: str) -> bool:
     return any(r.provenance.get("torque") == torque and "torque_constants" not in r.provenance for r in recordings)
 
 

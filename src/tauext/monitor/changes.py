@@ -414,9 +414,9 @@ class FoundLoad(Change):
 
     def words(self, joints: tuple[str, ...], units: Sequence[str] = ()) -> list[str]:
         if self.mass_kg == 0:
-            return ["the expected load was put down: carries nothing"]
+            return ["the expected payload was put down: carries nothing"]
         error_kg = max(self.error_kg, 0.005)
-        return [f"the expected load was picked up: carries {self.mass_kg:.2f} ± {error_kg:.2f} kg"]
+        return [f"the expected payload was picked up: carries {self.mass_kg:.2f} ± {error_kg:.2f} kg"]
 
     def facts(self, joints: tuple[str, ...]) -> dict[str, Any]:
         return {"mass_kg": self.mass_kg, "mass_error_kg": self.error_kg, "by": "expected"}

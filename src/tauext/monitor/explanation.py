@@ -315,7 +315,7 @@ def fits_load(flight: Flight, kept: np.ndarray, source: FlightSource) -> str:
     before = next(load for row, load in reversed(carried(flight)) if row <= flight["event_row"])
     beside = f", beside the {before.mass:.3g} kg that was set" if before.mass > 0 else ""
     return (
-        f"From {first_s:.2f} to {last_s:.2f} s after it the torques fit a load of "
+        f"From {first_s:.2f} to {last_s:.2f} s after it the torques fit a payload of "
         f"{mass_words(found.mass_kg, mass_error(found))} at {frame.name}{beside}: if the arm picked something up, set "
         "its load."
     )
@@ -392,7 +392,7 @@ def load_set(flight: Flight, source: FlightSource) -> str:
     changes = carried(flight)
     if all(load.mass == 0 for _, load in changes):
         return ""
-    text = f"The load of the arm was set to {load_words(changes[0][1], source.bundle.load_settings.frame)}"
+    text = f"The payload of the arm was set to {load_words(changes[0][1], source.bundle.load_settings.frame)}"
     for row, load in changes[1:]:
         since_s = (flight["t_ns"][row] - flight["t_ns"][flight["event_row"]]) * 1e-9
         when = f"{abs(since_s):.3f} s {'before' if since_s < 0 else 'after'} it"

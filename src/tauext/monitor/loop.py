@@ -257,7 +257,9 @@ class Loop:
     def weigh(self, what: str, by: str, reach_m: float = USUAL_REACH_M) -> None:
         if reason := self.monitor.why_no_weighing():
             raise ConfigError(reason)
-        require(1e-3 <= reach_m <= 100, "reach", reach_m, "0.001 to 100 m, how far away a load's centre of mass may be")
+        require(
+            1e-3 <= reach_m <= 100, "reach", reach_m, "0.001 to 100 m, how far away a payload's centre of mass may be"
+        )
         self._requests.put(lambda: self._weigh(what, reach_m, by))
 
     def answer(self, what: AnswerKind, by: str, alarm: int | None = None) -> None:
@@ -584,7 +586,7 @@ class Loop:
     def _expect(self, expected: Expected, by: str) -> None:
         self._real.expect_load(expected.seconds, expected.at_most)
         self._timed.add("the expected load")
-        self.note(f"a load of at most {expected.at_most:g} kg is expected for {expected.seconds:g} s, by {by}")
+        self.note(f"a payload of at most {expected.at_most:g} kg is expected for {expected.seconds:g} s, by {by}")
 
     def _declare(self, announced: Announced, contact: _core.DeclaredContact | None, by: str) -> None:
         phases, name = self._changes.phases, announced.name

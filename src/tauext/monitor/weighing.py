@@ -46,7 +46,9 @@ def load_frame(bundle: _core.Bundle, joint: str | None = None) -> NamedFrame:
     if joint is None:
         joint = joints[max(range(len(joints)), key=lambda link: (carriers(bundle, link), link))]
     if joint not in joints:
-        raise ConfigError(f"frame = {joint!r}: must be the joint whose link carries the load, of {', '.join(joints)}")
+        raise ConfigError(
+            f"frame = {joint!r}: must be the joint whose link carries the payload, of {', '.join(joints)}"
+        )
     return NamedFrame(_core.LoadFrame(joints.index(joint)), f"the link of {joint}")
 
 
@@ -258,24 +260,24 @@ def load_sentences(found: LoadFound, where: str, unit: str) -> list[str]:
     mass = mass_words(found.mass_kg, found.mass_error_kg, kg)
     if found.mass_error_kg > 100:  # without motion it is 1000 kg
         return [
-            f"no weight is visible there: gravity never pulls a load at {where} against a joint that weighs it; is the "
-            "load fixed to a link farther out (--frame)?"
+            f"no weight is visible there: gravity never pulls a payload at {where} against a joint that weighs it; is "
+            "the payload fixed to a link farther out (--frame)?"
         ]
     if found.verdict == "too little":
         return [f"{found.seconds:.2f} s of healthy motion are too little to identify a payload"]
     if found.verdict == "nothing":
         hidden_kg = LoadFound.MASS_SHOWS * found.mass_error_kg
-        return [f"no load is visible: {mass}; one of less than {hidden_kg:.2g} {kg} would not"]
+        return [f"no payload is visible: {mass}; one of less than {hidden_kg:.2g} {kg} would not"]
     if found.verdict == "lifts":
         lift = -found.fits["load"].values[0]
-        return [f"the estimated force pulls up, as {lift:.2f} {kg} less would: no load, or one present in training"]
+        return [f"the estimated force pulls up, as {lift:.2f} {kg} less would: no payload, or one present in training"]
     if found.verdict == "contact":
         return [contact_sentence(found, unit)]
     if found.verdict == "unclear":
         left = found.misfit**0.5
         return [
-            f"neither a load nor a constant force explains it: the best load, {mass}, leaves {left:.1f} times the "
-            "bundle's error; several contacts, a force that changes, or an arm that has changed itself"
+            f"neither a payload nor a constant force explains it: the best payload, {mass}, leaves {left:.1f} times "
+            "the bundle's error; several contacts, a force that changes, or an arm that has changed itself"
         ]
     return [*weighed(found, where, kg), *unseen_sentences(found)]
 
@@ -346,8 +348,8 @@ def weighed(found: LoadFound, where: str, kg: str) -> list[str]:
     mass = weighed_words(found, kg)
     if not found.mass_seen:
         return [
-            f"a load, but this motion does not separate its mass from its lever: {mass}. Only its pull at the joints "
-            "in these poses is known; turn the wrist to other ones"
+            f"a payload, but this motion does not separate its mass from its lever: {mass}. Only its pull at the "
+            "joints in these poses is known; turn the wrist to other ones"
         ]
     centre = ", ".join(
         f"{axis} {1e3 * c:.0f} ± {max(1e3 * e, 1):.0f}"
@@ -356,8 +358,8 @@ def weighed(found: LoadFound, where: str, kg: str) -> list[str]:
     lines = [f"load {mass}, centre of mass at {centre} mm of {where}"]
     if found.at_bound:
         lines.append(
-            f"the centre of mass is at the bound of {found.reach_m:g} m that was stated (--reach-m): the load reaches "
-            "farther, or is fixed to another link (--frame)"
+            f"the centre of mass is at the bound of {found.reach_m:g} m that was stated (--reach-m): the payload "
+            "reaches farther, or is fixed to another link (--frame)"
         )
     return lines
 
@@ -384,7 +386,7 @@ def contact_sentence(found: LoadFound, unit: str) -> str:
     load = found.fits["load"]
     return (
         f"this does not turn as gravity would: a constant force of ({force}) {force_unit} along the axes of {axes} "
-        f"fits better than any load (it leaves {best.misfit**0.5:.1f} of the bundle's error, the load "
+        f"fits better than any payload (it leaves {best.misfit**0.5:.1f} of the bundle's error, the payload "
         f"{load.misfit**0.5:.1f}). Something touches the arm"
     )
 

@@ -225,8 +225,8 @@ def unseen(results: Results, bundle: EvaluatedBundle) -> list[str]:
         "not feel them."
     )
     lines.append(
-        "A load that training did not have: a new tool or workpiece causes the residual of a lasting touch until the "
-        "load is set in the monitor or the arm is trained with it."
+        "A payload that training did not have: a new tool or workpiece causes the residual of a lasting touch until "
+        "the payload is set in the monitor or the arm is trained with it."
     )
     lines.append("The first second after a start, while the filters fill.")
     return lines

@@ -131,7 +131,7 @@ def flight_traces(flight: Flight, room: float) -> PageTraces:
 
 def load_words(mass_kg: float) -> str:
     """A change of what the arm was taken to carry."""
-    return f"load set to {mass_kg:.3g} kg" if mass_kg else "load set to none"
+    return f"payload set to {mass_kg:.3g} kg" if mass_kg else "no payload"
 
 
 def or_reason(draw: Callable[[], PageTraces]) -> PageTraces:

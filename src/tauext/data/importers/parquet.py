@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from tauext.data.importers.cells import (
     paired_stamps,
 )
 from tauext.data.importers.raw import BLOCK_ROWS, RawRecording, RawSignals, short_list, whole
+from tauext.data.recording_file import Description, check_columns, read_head
 from tauext.errors import RecordingError
 from tauext.files.unpacking import Unpacked
 
@@ -54,8 +55,9 @@ def open_parquet(path: Path) -> list[RawRecording]:
     notes = clock_notes(stamps, clock) if clock else []
     if others:
         notes.append(f"columns without numbers left out: {short_list(others)}")
-    clocks, units = (clock, ""), table.units()
-    raw = RawRecording(path.stem, path, table.kind, lambda: table.blocks(used, raw), notes, clocks=clocks, units=units)
+    clocks, units, recorded = (clock, ""), table.units(), table.recorded()
+    how = (path.stem, path, table.kind, lambda: table.blocks(used, raw), notes)
+    raw: RawRecording = RawRecording(*how, clocks=clocks, units=units, recorded=recorded)
     return [raw]
 
 
@@ -167,6 +169,15 @@ class _Table:
         fields = ((field.name, field.metadata or {}) for field in self._schema())
         stated = ((name, held.get(b"unit", held.get(b"units", b""))) for name, held in fields)
         return {name: unit.decode(errors="replace") for name, unit in stated if unit}
+
+    def recorded(self) -> Description | None:
+        """Metadata of a recording that tauext wrote; None: the file is none, or damaged."""
+        if self.kind == "Parquet":
+            with pq.ParquetFile(self.path) as file, suppress(RecordingError):
+                head = read_head(self.path, file)
+                check_columns(self.path, head, file.schema_arrow)
+                return head
+        return None
 
     def _schema(self) -> Any:
         if self.kind == "Parquet":

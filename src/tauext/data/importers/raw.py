@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from tauext.data.recording import Recording
+from tauext.data.recording_file import Description
 from tauext.errors import RecordingError
 
 MOST_COLUMNS = 20_000
@@ -93,6 +94,8 @@ class RawRecording:
     """Units that the file states beside the names of columns: in a line under them, or as an attribute."""
     unread_times: dict[str, str] = field(default_factory=dict)
     """Columns of text that may hold times in a form that is not read, with a cell of each."""
+    recorded: Description | None = None
+    """Metadata of a recording that tauext wrote."""
 
     def hints(self) -> list[str]:
         """What the file has in place of a clock, a clause each: unread times, and stated rates."""

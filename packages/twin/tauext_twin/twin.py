@@ -189,15 +189,9 @@ def judged(
         }
         for j, name in enumerate(arm.names)
     }
-    misleading = [
-        f"{name}: {what} explains {share:.0%} of the twin's squared error, so that a constant friction misleads"
-        for name, one in by_joint.items()
-        for what, share in one["not_held"].items()
-        if what in ("load share", "torque ripple", "backlash") and share > MISLEADS
-    ]
     return {
         "torque": by_joint,
-        "warnings": misleading,
+        "warnings": warnings_of(by_joint),
         "rollout": {
             "replayed": "goals" if drives else "torques",
             "rms_end_rad": {
@@ -206,6 +200,23 @@ def judged(
             },
         },
     }
+
+
+def warnings_of(by_joint: dict[str, dict[str, Any]]) -> list[str]:
+    """Sentences about joints that a twin does not serve: friction that no constant holds, and torques that it explains
+    worse than the file as it came."""
+    worse = [
+        f"{name}: the twin's error of {one['rmse_twin']:.3g} {one['unit']} exceeds that of the file as it came, "
+        f"{one['rmse_file']:.3g}; record more motion of this joint"
+        for name, one in by_joint.items()
+        if one["rmse_twin"] > one["rmse_file"]
+    ]
+    return worse + [
+        f"{name}: {what} explains {share:.0%} of the twin's squared error, so that a constant friction misleads"
+        for name, one in by_joint.items()
+        for what, share in one["not_held"].items()
+        if what in ("load share", "torque ripple", "backlash") and share > MISLEADS
+    ]
 
 
 def finite(values: np.ndarray) -> list[float | None]:

@@ -14,7 +14,7 @@ from tauext_twin.arm import read_arm
 from tauext_twin.held_out import rollout_errors
 from tauext_twin.model_file import Inertial, JointChange, given_of, write_model
 from tauext_twin.posterior import OF_LINK, find_posterior, link_basis
-from tauext_twin.twin import changed_model
+from tauext_twin.twin import changed_model, warnings_of
 
 from tauext import _core
 from tauext.cli import main
@@ -137,6 +137,11 @@ def test_the_twin_explains_torques_and_positions_that_it_is_not_made_of(made):
         assert one["rmse_twin"] < 0.25 * one["rmse_file"]
     ends = content["rollout"]["rms_end_rad"]["0.2"]
     assert (np.array(ends["twin"]) < 0.25 * np.array(ends["file"])).all()
+    assert not content["warnings"]  # this arm's friction is viscous and Coulomb
+    held = {"load share": 0.3, "Stribeck": 0.9}
+    odd = {"j": {"unit": "N m", "rmse_file": 1.0, "rmse_twin": 1.5, "not_held": held}}
+    worse, misleads = warnings_of(odd)
+    assert "exceeds that of the file" in worse and "load share explains 30%" in misleads
     page = (made[0] / "own/twin.html").read_text()
     assert "j3" in page and "armature" in page
 

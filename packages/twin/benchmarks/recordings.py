@@ -147,6 +147,7 @@ def measured(folder: Path) -> dict[str, Any]:
             for name, one in content["joints"].items()
         },
     }
+    found["sysid"] = {}
     found["rollout"]["still"] = {f"{w:g}": one for w, one in unchanged(arm).items()}
     for by in FITS:
         fit = checkpoint(folder / f"sysid-{by}.json", lambda by=by: asdict(fitted(arm, by)))
@@ -156,9 +157,10 @@ def measured(folder: Path) -> dict[str, Any]:
         rolled = rollout_errors(arm, model, joints, drives or None)
         found["rollout"][by] = {f"{w:g}": finite(one) for w, one in rolled.items()}
         found["time_s"][by] = fit["time_s"]
-        found[by] = {name: fit[name] for name in ("capped", "windows", "error")}
-        found[by]["joints"] = {one.joint: [one.damping, one.frictionloss, one.armature] for one in changes}
-        found[by]["masses"] = [one["inertial"]["mass"] for one in fit["changes"]]
+        found["sysid"][by] = {name: fit[name] for name in ("capped", "windows", "error")} | {
+            "joints": {one.joint: [one.damping, one.frictionloss, one.armature] for one in changes},
+            "masses": [one["inertial"]["mass"] for one in fit["changes"]],
+        }
     return found
 
 
@@ -267,7 +269,7 @@ def lines_of(found: dict[str, list[dict[str, Any]]]) -> list[str]:
             share = [float(np.mean(np.divide(one["rmse"][model], one["rms"]))) for one in splits]
             parts = {"file": (), "twin": ("train", "twin")}.get(model, (model,))
             spent = [sum(one["time_s"][part] for part in parts) for one in splits]
-            capped = sum(one[model]["capped"] for one in splits) if model in FITS else 0
+            capped = sum(one["sysid"][model]["capped"] for one in splits) if model in FITS else 0
             time_s = f"{np.mean(spent):.0f}" + (f" ({capped} capped)" if capped else "") if parts else ""
             cells = [joined(errors.mean(axis=0), ".3g"), f"{joined([100 * one for one in share], '.0f', ', ')} %"]
             rolled = joined(rollouts(splits, model), ".2g", ", ")

@@ -55,7 +55,7 @@ def judged(maker: Maker, seed: int, folder: Path) -> dict[str, Any]:
     arm = read_arm(trained(data, folder / "prior.tauext"), maker.model, data, {})
     corrected = arm.setup.prior.corrected_links
     posterior = find_posterior(arm.setup, arm.training, arm.terms, corrected, arm.torque_error, arm.torque_common)
-    values, errors = posterior.values(posterior.mean), posterior.draws(400, seed).std(axis=0)
+    values, errors = posterior.values(posterior.mean), posterior.standard_errors(seed)
     true, truth = arm_of(maker, seed), np.full(values.shape, np.nan)
     truth[:, :2] = true_friction(maker, seed, arm.setup.observer, posterior.terms)
     for j, link in enumerate(true.tree.links):

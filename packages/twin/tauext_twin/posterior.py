@@ -47,8 +47,10 @@ class Expected:
     piece_s: float = 6.0
     """Length of pieces whose errors are taken as independent, [s]."""
     most_pieces: int = 120
-    least_mass: float = 0.1
+    least_mass: float = 0.3
     """Share of its mass in the file that a link keeps at least, and likewise of its inertia."""
+    most_shift: float = 0.15
+    """Of a centre of mass, as a share of the arm's length."""
 
 
 @dataclass(frozen=True)
@@ -88,13 +90,32 @@ class Posterior:
         return np.asarray(inverse @ self.middle @ inverse)
 
     def solved(self, free: np.ndarray) -> np.ndarray:
-        """The unknowns where those that are not free are 0; no rotor inertia is below 0."""
-        n, x = self.tree.size, np.zeros(len(self.b))
+        """The unknowns where those that are not free are 0.
+
+        No rotor inertia is below 0, no mass below least_mass, and a first moment has a mass within most_shift.
+        """
+        n, x, expected = self.tree.size, np.zeros(len(self.b)), Expected()
         low = np.full(len(x), -np.inf)
-        low[-len(OF_LINK) * n :].reshape(n, -1)[:, -1] = [-link.rotor_inertia for link in self.tree.links]
+        own = low[-len(OF_LINK) * n :].reshape(n, -1)
+        masses = np.array([link.mass for link in self.tree.links])
+        own[:, 0], own[:, 4] = (expected.least_mass - 1) * masses, expected.least_mass - 1
+        own[:, 5] = [-link.rotor_inertia for link in self.tree.links]
         infinite = np.full(int(free.sum()), np.inf)
-        x[free] = solve_within(self.A[np.ix_(free, free)], self.b[free], low[free], infinite)
+        for _ in range(10):
+            x[free] = solve_within(self.A[np.ix_(free, free)], self.b[free], low[free], infinite)
+            theta = self.theta(x)
+            needed = np.linalg.norm(theta[:, 1:4], axis=1) / self.most_shift_m - masses
+            if (theta[:, 0] >= needed - 1e-3 * masses).all():
+                break
+            own[:, 0] = np.maximum(own[:, 0], np.where(theta[:, 0] < needed, needed, -np.inf))
         return x
+
+    @cached_property
+    def most_shift_m(self) -> float:
+        """Of a centre of mass, beside the file's, [m]."""
+        return Expected().most_shift * max(
+            sum(float(np.linalg.norm(link.translation)) for link in self.tree.links), 0.1
+        )
 
     def off_the_file(self, doubt: float = 0.05) -> np.ndarray:
         """The unknowns with every link as in the file whose correction the motion does not show, (columns,).
@@ -159,29 +180,42 @@ class Posterior:
         """OF_LINK of each link, (n, 6)."""
         return x[-len(OF_LINK) * self.tree.size :].reshape(self.tree.size, -1)
 
-    def values(self, x: np.ndarray, expected: Expected = Expected()) -> np.ndarray:
-        """VALUES of each joint, (n, 8)."""
-        out = np.zeros((self.tree.size, len(VALUES)))
-        out[:, :2] = self.friction(x)
-        least = expected.least_mass
-        for k, (link, theta) in enumerate(zip(self.tree.links, self.theta(x), strict=True)):
-            mass = max(link.mass + theta[0], least * link.mass)
-            com = np.array(link.com) + theta[1:4] / max(mass, 1e-9)
-            out[k, 2:] = max(link.rotor_inertia + theta[5], 0.0), mass, *com, max(1 + theta[4], least)
+    def values(self, x: np.ndarray, bounded: bool = True) -> np.ndarray:
+        """VALUES of each joint, (n, 8).
+
+        Args:
+            bounded: as a body can have them; False: for their spread.
+        """
+        out, theta = np.zeros((self.tree.size, len(VALUES))), self.theta(x)
+        out[:, :2] = self.friction(x, bounded=bounded)
+        links, least = self.tree.links, Expected().least_mass
+        masses = np.array([link.mass for link in links])
+        out[:, 2] = [link.rotor_inertia for link in links] + theta[:, 5]
+        out[:, 3], out[:, 7] = np.maximum(masses + theta[:, 0], least * masses), np.maximum(1 + theta[:, 4], least)
+        shift = theta[:, 1:4] / np.maximum(out[:, 3:4], 1e-9)
+        far = np.linalg.norm(shift, axis=1, keepdims=True) / self.most_shift_m
+        out[:, 4:7] = [link.com for link in links] + shift / np.maximum(far, 1.0)
+        if bounded:
+            out[:, 2] = np.maximum(out[:, 2], 0.0)
         return out
 
-    def draws(self, count: int, seed: int) -> np.ndarray:
+    def draws(self, count: int, seed: int, bounded: bool = True) -> np.ndarray:
         """Joint draws of VALUES, (count, n, 8); the torque of each joint is drawn within the error of its constant."""
         rng = np.random.default_rng(seed)
         size = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
         values, vectors = np.linalg.eigh(self.covariance / np.outer(size, size))
         root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-        drawn = np.array([self.values(self.mean + root @ rng.standard_normal(len(self.mean))) for _ in range(count)])
-        drawn = drawn.reshape(count, self.tree.size, len(VALUES))
+        drawn = np.array(
+            [self.values(self.mean + root @ rng.standard_normal(len(self.mean)), bounded) for _ in range(count)]
+        ).reshape(count, self.tree.size, len(VALUES))
         factors = np.maximum(1 + self.torque_error * rng.standard_normal((count, self.tree.size)), 0.5)
         drawn[:, :, :3] *= factors[:, :, None]
         drawn[:, :, :4] *= np.maximum(1 + self.torque_common * rng.standard_normal(count), 0.5)[:, None, None]
         return drawn
+
+    def standard_errors(self, seed: int, count: int = 400) -> np.ndarray:
+        """Of VALUES, (n, 8): the spread of draws without bounds, at which it would be 0."""
+        return np.asarray(self.draws(count, seed, bounded=False).std(axis=0))
 
 
 def find_posterior(

@@ -22,8 +22,6 @@ from tauext_twin.usd_file import write_usd
 
 DIFFERS = 2.0
 """A parameter is written where it differs from the file's by this many standard errors."""
-DRAWS = 400
-"""For standard errors."""
 MISLEADS = 0.25
 """Share of a twin's squared error that friction by load or place explains, from which a constant misleads."""
 
@@ -38,7 +36,7 @@ def make_twin(arm: Arm, out: Path, draws: int, seed: int, report: Reporter) -> d
     tree, corrected = arm.setup.tree, arm.setup.prior.corrected_links
     posterior = find_posterior(arm.setup, arm.training, arm.terms, corrected, arm.torque_error, arm.torque_common)
     x = posterior.off_the_file()
-    values, errors = posterior.values(x), posterior.draws(DRAWS, seed).std(axis=0)
+    values, errors = posterior.values(x), posterior.standard_errors(seed)
     in_nm = np.array([not one for one in arm.setup.observer.unknown_constant or [False] * tree.size])
     moved: np.ndarray = np.any(posterior.theta(x)[:, : len(OF_LINK) - 1] != 0, axis=1)
     changes = changes_of(arm, values, errors, moved, in_nm)

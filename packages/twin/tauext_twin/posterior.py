@@ -44,6 +44,8 @@ class Expected:
     """A tool that the file lacks: of the arm's mass, at the last link ..."""
     tool_m: float = 0.1
     """... and how far from that link's centre of mass, [m]."""
+    constant_share: float = 0.05
+    """Of a joint's torque: an offset that does not turn with the motion, beside which gravity is found."""
     piece_s: float = 6.0
     """Length of pieces whose errors are taken as independent, [s]."""
     most_pieces: int = 120
@@ -92,7 +94,7 @@ class Posterior:
     def solved(self, free: np.ndarray) -> np.ndarray:
         """The unknowns where those that are not free are 0.
 
-        No rotor inertia is below 0, no mass below least_mass, and a first moment has a mass within most_shift.
+        No rotor inertia is below 0, and no mass and inertia of a link below least_mass.
         """
         n, x, expected = self.tree.size, np.zeros(len(self.b)), Expected()
         low = np.full(len(x), -np.inf)
@@ -101,13 +103,7 @@ class Posterior:
         own[:, 0], own[:, 4] = (expected.least_mass - 1) * masses, expected.least_mass - 1
         own[:, 5] = [-link.rotor_inertia for link in self.tree.links]
         infinite = np.full(int(free.sum()), np.inf)
-        for _ in range(10):
-            x[free] = solve_within(self.A[np.ix_(free, free)], self.b[free], low[free], infinite)
-            theta = self.theta(x)
-            needed = np.linalg.norm(theta[:, 1:4], axis=1) / self.most_shift_m - masses
-            if (theta[:, 0] >= needed - 1e-3 * masses).all():
-                break
-            own[:, 0] = np.maximum(own[:, 0], np.where(theta[:, 0] < needed, needed, -np.inf))
+        x[free] = solve_within(self.A[np.ix_(free, free)], self.b[free], low[free], infinite)
         return x
 
     @cached_property
@@ -247,7 +243,7 @@ def find_posterior(
     unknown = np.array(setup.observer.unknown_constant or [False] * setup.tree.size, dtype=bool)
     pieces = [reduced(one, basis, width, ~unknown) for one, _ in equations]
     whole = sum(pieces[1:], start=pieces[0])
-    precision = _precision(setup.tree, recordings, width, whole, expected)
+    precision = _precision(setup.tree, recordings, terms, whole, expected)
     found = _weighted(setup.tree, tuple(map(tuple, terms)), pieces, whole, precision)
     return replace(found, torque_error=torque_error, torque_common=torque_common)
 
@@ -301,14 +297,22 @@ def largest_inertia(tree: _core.Tree, recordings: Sequence[Recording]) -> float:
 
 
 def _precision(
-    tree: _core.Tree, recordings: Sequence[Recording], width: int, whole: NormalEquations, expected: Expected
+    tree: _core.Tree,
+    recordings: Sequence[Recording],
+    terms: Sequence[Sequence[_core.Term]],
+    whole: NormalEquations,
+    expected: Expected,
 ) -> np.ndarray:
     """Inverse variances of all unknowns before any motion, (columns,); a friction term may be as large as all of r."""
+    width = sum(map(len, terms))
     variance = np.ones(width + len(OF_LINK) * tree.size)
     for at, gram, energy in zip(whole.columns, whole.gram, whole.energy, strict=True):
         own = at < width
         square = np.diag(gram)[own]
         variance[at[own]] = np.where(square > 0, energy / np.maximum(square, 1e-12 * whole.rows), 1.0)
+    for first, of in zip(np.cumsum([0, *map(len, terms)]), terms, strict=False):
+        constants = first + np.array([k for k, term in enumerate(of) if term.kind == Kind.constant], dtype=int)
+        variance[constants] *= expected.constant_share**2
     masses = np.array([link.mass for link in tree.links])
     mass = expected.mass_share * masses + 0.01 * masses.mean()
     shift = expected.com_m * (masses + 0.05 * masses.mean())

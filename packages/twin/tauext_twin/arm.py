@@ -138,7 +138,10 @@ def find_dataset(bundle_file: Path, facts: Mapping[str, Any]) -> Dataset:
     folders |= {here} if (here / FILE_NAME).is_file() else set()
     found = []
     for folder in sorted(folders):
-        dataset = load_dataset(folder)
+        try:
+            dataset = load_dataset(folder)
+        except ConfigError:  # a damaged neighbour is no reason to stop
+            continue
         if trained_on and {Path(name).stem for name in dataset.split.train} == trained_on:
             found.append(dataset)
     if len(found) == 1:

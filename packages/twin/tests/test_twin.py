@@ -256,6 +256,8 @@ def test_friction_that_a_simulator_can_hold_is_itself_and_no_value_is_negative(m
 )
 def test_bad_input_is_one_line_and_writes_nothing(made, monkeypatch, capsys, more, message):
     monkeypatch.chdir(made[0])
+    Path("damaged").mkdir(exist_ok=True)  # a neighbour that is none of the arm's
+    Path("damaged/split.json").write_text("{")
     Path("other.urdf").write_text(urdf().replace('xyz="0 0 0.4"', 'xyz="0 0 0.6"'))
     Path("mimic.urdf").write_text(urdf().replace('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><mimic joint="j1"/>', 1))
     given = [] if "--robot" in more else ["--robot", "arm.urdf"]

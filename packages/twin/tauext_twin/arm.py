@@ -22,6 +22,7 @@ from tauext.fit.prior_facts import SHARED
 from tauext.fit.torque_constants import ConstantsConfig
 from tauext.fit.training_set import Setup
 from tauext.robot.read import load_tree
+from tauext_twin.model_file import KINDS
 
 MOST_GAIN_PER_S = 10.0
 """Of the observer: a faster one passes more of a differentiated encoder's noise, which hides inertia."""
@@ -39,10 +40,14 @@ class Arm:
 
     bundle: _core.Bundle
     robot: Path
+    usd: Path | None
+    """The user's own stage; the robot file is then the dataset's."""
     setup: Setup
     """The robot file's tree, an observer with at most MOST_GAIN_PER_S, and the bundle's presliding states."""
     names: tuple[str, ...]
-    """Joints as recorded; the tree has the robot file's names."""
+    """Joints as recorded; the tree has the robot file's names ..."""
+    of_out: tuple[str, ...]
+    """... and this is what the file that is written calls them."""
     terms: list[list[_core.Term]]
     """Friction terms of each joint."""
     training: list[Recording]
@@ -60,7 +65,7 @@ def read_arm(bundle_file: Path, robot: Path | None, data: Path | None, names: Ma
     """Read bundle, recordings and robot file, and refuse what cannot become a twin.
 
     Args:
-        robot: URDF or MJCF; None: the dataset's.
+        robot: URDF or MJCF, or the user's USD of the arm; None: the dataset's.
         data: dataset; None: the one near the bundle whose training recordings the bundle names.
         names: joint in the robot file by joint as recorded; the others have one name.
 
@@ -75,11 +80,15 @@ def read_arm(bundle_file: Path, robot: Path | None, data: Path | None, names: Ma
         )
     facts = json.loads(bundle.provenance or "{}")
     dataset = load_dataset(data) if data is not None else find_dataset(bundle_file, facts)
-    robot = dataset.robot_file(robot)
+    usd = robot if robot is not None and KINDS.get(robot.suffix) == "USD" else None
+    if usd is not None and not usd.is_file():
+        raise ConfigError(f"{usd}: there is no such file")
+    robot = dataset.robot_file(None if usd is not None else robot)
     joints = tuple(link.joint_name for link in bundle.links)
     if unknown := [name for name in names if name not in joints]:
         raise ConfigError(f"--names {unknown[0]}: no such joint was recorded; they are {', '.join(joints)}")
-    tree = load_tree(robot, [names.get(name, name) for name in joints], gravity=bundle.gravity)
+    in_file = joints if usd is not None else [names.get(name, name) for name in joints]
+    tree = load_tree(robot, in_file, gravity=bundle.gravity)
     expect_same_arm(tree, bundle, robot)
     old = bundle.observer
     observer = _core.ObserverSettings(
@@ -101,7 +110,8 @@ def read_arm(bundle_file: Path, robot: Path | None, data: Path | None, names: Ma
     setup = Setup(tree, observer, bundle.window_steps, bundle.prior)
     constants = facts.get("torque_constants") or {}
     error, common = torque_error(constants, joints), float(constants.get("common_share", 0.0))
-    return Arm(bundle, robot, setup, joints, own, training, test, error, common, facts)
+    of_out = tuple(names.get(name, name) for name in joints)
+    return Arm(bundle, robot, usd, setup, joints, of_out, own, training, test, error, common, facts)
 
 
 def smooth(recording: Recording) -> Recording:

@@ -32,7 +32,7 @@ def twin(
     Args:
         bundle: bundle of recipe prior or tauext, trained with the arm's URDF or MJCF.
         out: file to write: .xml (MJCF), .urdf, or .usd, .usda, .usdc.
-        robot: URDF or MJCF to change; default: the dataset's.
+        robot: URDF or MJCF to change, or the arm's USD, over which a layer is written; default: the dataset's.
         data: dataset that the bundle was trained on; default: the one near the bundle that has its recordings.
         names: joints that have another name in the robot file.
         draws: also write so many files NAME-000, ..., drawn from the joint posterior, for training in simulation.

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from tauext import _core
+from tauext.data.free_motion import cut
 from tauext.data.recording import Recording
 from tauext.fit.training_set import Setup
 from tauext.robot.compile import no_mujoco_warnings
@@ -27,6 +29,8 @@ GROUPS = {
     "constant": (Kind.constant,),
 }
 """What a simulator's damping and frictionloss cannot hold, by kinds of terms: what these terms are beside both."""
+CURVE_S, CURVE_ROWS = 12.0, 400
+"""Length [s] and most values of the curves of a page."""
 WINDOWS_S = (0.2, 1.0, 5.0)
 MOST_WINDOWS = 40
 STEP_S = 0.002
@@ -60,6 +64,28 @@ def torque_errors(arm: Arm, models: Sequence[Model], speed: float) -> tuple[np.n
         count = count + moves.sum(axis=0)
     rows = np.maximum(count, 1)
     return np.sqrt(squares / rows), np.sqrt(np.asarray(energy) / rows)
+
+
+def curves(arm: Arm, models: Sequence[Model], speed: float) -> dict[str, Any]:
+    """Measured torque behind the observer and what the models make of it, by joint, in the liveliest CURVE_S of the
+    test motion; at most CURVE_ROWS values each, [N m]."""
+    recording = max(arm.test, key=lambda one: one.duration_s)
+    width = max(2, round(CURVE_S * recording.rate_hz))
+    moved = np.cumsum(np.r_[0.0, (recording.dq**2).sum(axis=1)])
+    first = int(np.argmax(moved[width:] - moved[:-width])) if len(moved) > width else 0
+    lead = round((arm.setup.warm_up_s + 0.1) * recording.rate_hz)
+    part = cut(recording, slice(max(0, first - lead), first + width))
+    torque = -left_over(arm.setup, None, part, speed)[0]
+    shown = slice(None, None, max(1, len(torque) // CURVE_ROWS))
+    step_s = arm.setup.network_period_s * (shown.step or 1)
+    return {
+        "step_s": step_s,
+        "measured": torque[shown].round(5).T.tolist(),
+        **{
+            name: (torque + left_over(arm.setup, model, part, speed)[0])[shown].round(5).T.tolist()
+            for name, model in zip(("file", "twin"), models, strict=True)
+        },
+    }
 
 
 def left_over(setup: Setup, model: Model | None, recording: Recording, speed: float) -> tuple[np.ndarray, np.ndarray]:

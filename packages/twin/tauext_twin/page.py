@@ -57,7 +57,13 @@ def write_page(content: dict[str, Any], path: Path) -> None:
     ]
     groups = list(next(iter(content["torque"].values()))["not_held"])
     text = template.render(
-        content, look=look, columns=COLUMNS.values(), rows=rows, groups=groups, figure=figure(content["torque"])
+        content,
+        look=look,
+        columns=COLUMNS.values(),
+        rows=rows,
+        groups=groups,
+        figure=figure(content["torque"]),
+        curves_figure=curves_figure(content),
     )
     with atomic_write(path) as part:
         part.write_text(text, encoding="utf-8")
@@ -80,6 +86,30 @@ def figure(torque: dict[str, Any]) -> str:
         axes.set_xlabel("RMSE, % of the torque's RMS")
         axes.margins(x=0.12)
         drawn.legend(loc="outside upper right", ncols=2)
-        buffer = BytesIO()
-        drawn.savefig(buffer, dpi=DPI)
+        return _png(drawn)
+
+
+def curves_figure(content: dict[str, Any]) -> str:
+    """Held-out torque of each joint: measured, of the file as it came, of the twin; PNG in base64."""
+    curves, names = content["curves"], list(content["joints"])
+    with rc_context(RC):
+        drawn = Figure(figsize=(9, 0.5 + 1.3 * len(names)), layout="constrained")
+        rows = drawn.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+        time_s = curves["step_s"] * np.arange(len(curves["measured"][0]))
+        for j, (name, axes) in enumerate(zip(names, rows, strict=True)):
+            for key, colour, width in (
+                ("measured", "#000000", 1.6),
+                ("file", "#b0b0b0", 1.0),
+                ("twin", "#0072b2", 1.0),
+            ):
+                axes.plot(time_s, curves[key][j], color=colour, linewidth=width, label=key)
+            axes.set_title(f"{name}, {content['torque'][name]['unit']}", loc="left")
+        rows[-1].set_xlabel("time, s")
+        drawn.legend(*rows[0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
+        return _png(drawn)
+
+
+def _png(drawn: Figure) -> str:
+    buffer = BytesIO()
+    drawn.savefig(buffer, dpi=DPI)
     return base64.b64encode(buffer.getvalue()).decode()

@@ -10,12 +10,13 @@ import mujoco
 import numpy as np
 
 from tauext import _core
+from tauext.errors import ConfigError
 from tauext.files.provenance import provenance, write_json
 from tauext.fit.prior_terms import encoder_count
 from tauext.progress import Reporter
 from tauext.robot.read import choose_joints, compiled, make_tree
 from tauext_twin.arm import Arm
-from tauext_twin.held_out import Model, rollout_errors, torque_errors, unheld
+from tauext_twin.held_out import Model, curves, rollout_errors, torque_errors, unheld
 from tauext_twin.model_file import KINDS, Drive, JointChange, body_change, given_of, write_model
 from tauext_twin.posterior import OF_LINK, VALUES, Posterior, find_posterior
 from tauext_twin.usd_file import write_usd
@@ -48,7 +49,7 @@ def make_twin(arm: Arm, out: Path, draws: int, seed: int, report: Reporter) -> d
         write(arm, name, every, f"{note}; draw {k} of seed {seed}")
     report.say("judging on motion that was left out")
     content = {
-        "robot": arm.robot.name,
+        "robot": (arm.usd or arm.robot).name,
         "out": out.name,
         "joints": parameters(arm, values, errors, changes),
         "drives": {name: vars(change.drive) for name, change in zip(arm.names, changes, strict=True) if change.drive},
@@ -69,7 +70,10 @@ def write(arm: Arm, out: Path, changes: list[JointChange], note: str) -> None:
     """Write one robot file, by its ending."""
     out.parent.mkdir(parents=True, exist_ok=True)
     if KINDS.get(out.suffix) == "USD":
-        write_usd(arm.robot, out, arm.setup.tree, changes, note)
+        named = [replace(change, joint=name) for change, name in zip(changes, arm.of_out, strict=True)]
+        write_usd(arm.robot, out, arm.setup.tree, named, note, arm.usd)
+    elif arm.usd is not None:
+        raise ConfigError(f"{out}: from a USD, only a USD can be written (.usd, .usda, .usdc)")
     else:
         write_model(arm.robot, out, changes, note)
 
@@ -190,6 +194,7 @@ def judged(
     return {
         "torque": by_joint,
         "warnings": warnings_of(by_joint),
+        "curves": curves(arm, [came[2], twin[2]], speed),
         "rollout": {
             "replayed": "goals" if drives else "torques",
             "rms_end_rad": {

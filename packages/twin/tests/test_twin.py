@@ -192,6 +192,26 @@ def test_usd_is_read_back(made):
     assert [str(path) for path in UsdPhysics.RevoluteJoint(prim).GetBody0Rel().GetTargets()] == ["/arm/l1"]
 
 
+def test_a_users_own_stage_stays_and_a_layer_over_it_has_the_values(made, capsys):
+    usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
+    folder = made[0]
+    joints = twin(folder, "usd/twin.usda")["joints"]
+    before = (folder / "usd/twin.usda").read_bytes()
+    command = ["twin", str(folder / "bundle.tauext"), "--robot", str(folder / "usd/twin.usda"), "--out"]
+    assert main([*command, str(folder / "layers/over.usda")]) == 0
+    assert (folder / "usd/twin.usda").read_bytes() == before
+    layer = (folder / "layers/over.usda").read_text()
+    assert 'over "j2"' in layer and "../usd/twin.usda" in layer
+    stage = usd.Stage.Open(str(folder / "layers/over.usda"))
+    found = stage.GetPrimAtPath("/arm/j2").GetAttribute("physxJoint:jointFriction").Get()
+    assert found == pytest.approx(joints["j2"]["frictionloss"]["value"], rel=1e-5)
+    assert main([*command, str(folder / "layers/over.xml")]) == 2
+    assert "from a USD, only a USD can be written" in capsys.readouterr().err
+    assert main([*command, str(folder / "layers/a.usda"), "--names", "j1=shoulder"]) == 2
+    assert "no joint 'shoulder'" in capsys.readouterr().err
+    assert sorted(path.name for path in (folder / "layers").iterdir()) == ["over.html", "over.twin.json", "over.usda"]
+
+
 def test_draws_spread_as_the_errors_state_and_repeat_with_their_seed(made):
     folder = made[0]
     stated = twin(folder, "draws/twin.xml", "--draws", "60", "--seed", "3")["joints"]

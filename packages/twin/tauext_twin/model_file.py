@@ -120,6 +120,17 @@ def body_change(path: Path, tree: _core.Tree, values: np.ndarray, changed: Seque
     return found
 
 
+def expect_kinds(robot: Path, out: Path) -> tuple[str, str]:
+    """The kinds of both files; raises RobotError where one cannot be written from the other."""
+    kinds = KINDS.get(robot.suffix, "file of another kind"), KINDS.get(out.suffix, "file of another kind")
+    if kinds[1] != "USD" and kinds not in (("URDF", "URDF"), ("MJCF", "MJCF"), ("URDF", "MJCF")):
+        raise RobotError(
+            f"{out}: {kinds[1]} cannot be written from {robot.name} ({kinds[0]}): MJCF (.xml) from MJCF or URDF, URDF "
+            "from URDF, USD (.usd, .usda, .usdc) from any"
+        )
+    return kinds
+
+
 def write_model(robot: Path, out: Path, changes: Sequence[JointChange], note: str) -> None:
     """Write the robot file with these changes under another name, whole or not at all.
 
@@ -132,18 +143,12 @@ def write_model(robot: Path, out: Path, changes: Sequence[JointChange], note: st
     Raises:
         RobotError: of another kind than can be written from this one; no such joint or body; an unreadable file.
     """
-    kinds = KINDS.get(robot.suffix, "?"), KINDS.get(out.suffix, "?")
+    kinds = expect_kinds(robot, out)
     if kinds == ("URDF", "URDF"):
         text = _changed_urdf(robot, out, changes, note)
-    elif kinds == ("MJCF", "MJCF"):
-        text = _changed_mjcf(_expanded(robot), robot, out, changes, note)
-    elif kinds == ("URDF", "MJCF"):
-        text = _changed_mjcf(_converted(robot, out), robot, out, changes, note)
     else:
-        raise RobotError(
-            f"{out}: a {kinds[1]} cannot be written from {robot.name} ({kinds[0]}): MJCF (.xml) from MJCF or URDF, "
-            "URDF from URDF, USD (.usd, .usda, .usdc) from either"
-        )
+        document = _expanded(robot) if kinds[0] == "MJCF" else _converted(robot, out)
+        text = _changed_mjcf(document, robot, out, changes, note)
     with atomic_write(out) as part:
         part.write_text(text, encoding="utf-8")
 

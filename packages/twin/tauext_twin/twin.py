@@ -10,14 +10,13 @@ import mujoco
 import numpy as np
 
 from tauext import _core
-from tauext.errors import ConfigError
 from tauext.files.provenance import provenance, write_json
 from tauext.fit.prior_terms import encoder_count
 from tauext.progress import Reporter
 from tauext.robot.read import choose_joints, compiled, make_tree
 from tauext_twin.arm import Arm
 from tauext_twin.held_out import Model, curves, rollout_errors, torque_errors, unheld
-from tauext_twin.model_file import KINDS, Drive, JointChange, body_change, given_of, write_model
+from tauext_twin.model_file import KINDS, Drive, JointChange, body_change, expect_kinds, given_of, write_model
 from tauext_twin.posterior import OF_LINK, VALUES, Posterior, find_posterior
 from tauext_twin.usd_file import write_usd
 
@@ -33,6 +32,7 @@ def make_twin(arm: Arm, out: Path, draws: int, seed: int, report: Reporter) -> d
     Raises:
         TauextError: too little motion, or a file that cannot be written.
     """
+    expect_kinds(arm.usd or arm.robot, out)
     report.say("fitting friction, inertia and masses")
     tree, corrected = arm.setup.tree, arm.setup.prior.corrected_links
     posterior = find_posterior(arm.setup, arm.training, arm.terms, corrected, arm.torque_error, arm.torque_common)
@@ -72,8 +72,6 @@ def write(arm: Arm, out: Path, changes: list[JointChange], note: str) -> None:
     if KINDS.get(out.suffix) == "USD":
         named = [replace(change, joint=name) for change, name in zip(changes, arm.of_out, strict=True)]
         write_usd(arm.robot, out, arm.setup.tree, named, note, arm.usd)
-    elif arm.usd is not None:
-        raise ConfigError(f"{out}: from a USD, only a USD can be written (.usd, .usda, .usdc)")
     else:
         write_model(arm.robot, out, changes, note)
 

@@ -206,7 +206,7 @@ def test_a_users_own_stage_stays_and_a_layer_over_it_has_the_values(made, capsys
     found = stage.GetPrimAtPath("/arm/j2").GetAttribute("physxJoint:jointFriction").Get()
     assert found == pytest.approx(joints["j2"]["frictionloss"]["value"], rel=1e-5)
     assert main([*command, str(folder / "layers/over.xml")]) == 2
-    assert "from a USD, only a USD can be written" in capsys.readouterr().err
+    assert "MJCF cannot be written from twin.usda (USD)" in capsys.readouterr().err
     assert main([*command, str(folder / "layers/a.usda"), "--names", "j1=shoulder"]) == 2
     assert "no joint 'shoulder'" in capsys.readouterr().err
     assert sorted(path.name for path in (folder / "layers").iterdir()) == ["over.html", "over.twin.json", "over.usda"]

@@ -40,6 +40,8 @@ TOGETHER_MINUTES = 70.0
 """After which all parts are ended; CONTRIBUTING.md has how long they take."""
 THREADED = ("estimates_test", "flight_recorder_test", "lstm_gradient_test", "monitor_test", "prior_test")
 """C++ tests that start threads, as `strace -f -e trace=clone,clone3` shows."""
+NEEDED_GB = 9.0
+"""Of disk for all parts: environments, builds, and what tests write."""
 LAST_LINES = 150
 """Of the log of a part that failed."""
 
@@ -351,6 +353,9 @@ def main() -> None:
     wanted = arguments.parse_args().parts or list(PARTS)
     if unknown := sorted(set(wanted) - set(PARTS)):
         arguments.error(f"no part {', '.join(unknown)}; there are {', '.join(PARTS)}")
+    free_gb = shutil.disk_usage(ROOT).free / 1e9
+    if wanted == list(PARTS) and free_gb < NEEDED_GB:
+        sys.exit(f"{ROOT}: {free_gb:.1f} GB are free, and the long part needs {NEEDED_GB:.0f}")
     LOGS.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
     done = run_parts([name for name in PARTS if name in wanted], began)

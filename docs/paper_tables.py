@@ -67,17 +67,23 @@ def row(case: str, training: str, errors: list[list[list[float]]]) -> list[str]:
     return cells
 
 
-def delays(results: dict[str, Any]) -> list[str]:
-    """Delays of joint 1 against its sensor, at the same threshold, of the ten collisions and of all over it in both."""
-    columns = ["model", "each of the ten, ms", "median of the ten, ms"]
+def delays(trainings: dict[str, dict[str, Any]]) -> list[str]:
+    """Delays of joint 1 against its sensor, at the same threshold, of the ten collisions and of all over it in both.
+
+    Args:
+        trainings: results.json by what its bundles were trained with.
+    """
+    columns = ["model", "training", "each of the ten, ms", "median of the ten, ms"]
     columns += ["all: both over the threshold", "median, ms", "5 % to 95 %, ms", "largest, ms"]
     rows = []
-    for bundle in of_recipe(results, "paper"):
+    for training, results, bundle in (
+        (name, results, bundle) for name, results in trainings.items() for bundle in of_recipe(results, "paper")
+    ):
         of_joint_1 = {one["id"]: one["joint_delays_against_sensor_s"][0] for one in bundle["collisions"]}
         delay_ms = {name: 1e3 * delay_s for name, delay_s in of_joint_1.items() if delay_s is not None}
         ten = [delay_ms[name] for name in results["ten_collisions"] if name in delay_ms]
         low, middle, high = np.percentile(list(delay_ms.values()), [5, 50, 95])
-        cells = [bundle["case"], ", ".join(f"{round(delay):d}" for delay in ten).replace(" ", "\u00a0")]
+        cells = [bundle["case"], training, ", ".join(f"{round(delay):d}" for delay in ten).replace(" ", "\u00a0")]
         cells += [f"{np.median(ten):.1f}", f"{len(delay_ms)} of {len(of_joint_1)}", f"{middle:.1f}"]
         cells += [f"{low:.0f}\u00a0to\u00a0{high:.0f}", f"{max(delay_ms.values()):.0f}"]
         rows.append([cell.replace("-", "−") for cell in cells])
@@ -89,5 +95,5 @@ def tables() -> dict[str, list[str]]:
     """The lines of each table by its name."""
     return {
         "table-1": table_1(load("full/seeds"), load("full/seeds-500"), load("quick/results")),
-        "delays": delays(load("full/results")),
+        "delays": delays({"500 epochs": load("full/results-500"), "100 epochs": load("full/results")}),
     }

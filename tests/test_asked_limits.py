@@ -15,10 +15,24 @@ from tauext.fit.bundle_writing import build_setup, make_bundle
 from tauext.fit.prior import Inertia, fit_terms
 from tauext.train.asked_limits import AskedConfig, WorstErrors, budgets_sentence, posterior, put_asked, put_floors
 from tauext.train.declared_spread import noticed_standing
-from tauext.train.error_scale import HeldOut, collect_rows, fit_error_scale, put_constant_error, with_unit_scale
+from tauext.train.error_scale import (
+    FEATURES,
+    HeldOut,
+    collect_rows,
+    fit_error_scale,
+    put_constant_error,
+    rest_sigma_nm,
+    with_unit_scale,
+)
 from tauext.train.held_peaks import Peaks
 from tauext.train.hits import noticed_pushes_n
-from tauext.train.other_programs import OtherProgramsConfig, programs, spread_rows, widen_for_other_programs
+from tauext.train.other_programs import (
+    OtherProgramsConfig,
+    add_at_rest,
+    programs,
+    spread_rows,
+    widen_for_other_programs,
+)
 from tauext.train.paper_limits import LimitMotion
 from tauext.train.promised_limits import put_promised
 
@@ -141,11 +155,13 @@ def test_limits_have_floors_at_rest_and_in_slow_motion_and_others_stay():
     before.sliding_limit_nm = before.near_stiction_limit_nm = (friction_nm * [0.05, 3.0]).tolist()
     after = _core.Bundle.from_bytes(before.to_bytes())
     config = AskedConfig(rest_share=0.75, rest_errors=1e3, rest_hours=2.0, slow_share=0.4, slow_hours=0.75)
-    floors_nm = put_floors(after, 6.0, config)
+    floors_nm = put_floors(after, 6.0, config, rest_sigma_nm(after))
     assert floors_nm == pytest.approx(np.array([0.4 / 3 * np.array(after.sliding_limit_nm), 0.75 / 2 * friction_nm]))
     still = np.zeros((500, 2))
     sigma_nm = _core.estimate(before, recordings[0].t_ns[:500], still, still, still, 1)["sigma_nm"][-1]
-    few = put_floors(_core.Bundle.from_bytes(before.to_bytes()), 6.0, replace(config, rest_errors=0.1))
+    few = put_floors(
+        _core.Bundle.from_bytes(before.to_bytes()), 6.0, replace(config, rest_errors=0.1), rest_sigma_nm(before)
+    )
     assert few[1] == pytest.approx(0.1 / 2 * sigma_nm, rel=0.05)
     limit_nm = {}
     for dq_rad_s in (0.0, 1e-9, 1.0):  # at rest, slower than it starts, and at 1 rad/s all the time
@@ -165,7 +181,7 @@ def test_constant_limits_get_no_floors():
     _, _, _, bundle, rows = fitted(8.0)
     put_constant_error(bundle, rows)
     before = bundle.to_bytes()
-    assert put_floors(bundle, 0.1, AskedConfig()) is None and bundle.to_bytes() == before
+    assert put_floors(bundle, 0.1, AskedConfig(), rest_sigma_nm(bundle)) is None and bundle.to_bytes() == before
 
 
 def test_the_median_push_is_that_of_a_lever_over_all_directions():
@@ -226,6 +242,22 @@ def test_the_spread_of_a_weight_is_its_jackknife_error_behind_the_filter():
     assert spread[:, 0] == pytest.approx(0, abs=1e-12)
     assert np.quantile(spread[:, 1], [0.5, 0.9]) == pytest.approx(np.quantile(reached, [0.5, 0.9]), rel=0.03)
     assert len(features) == len(spread)
+
+
+def test_sigma_at_rest_contains_the_spread_of_the_rows_at_rest():
+    _, _, recordings, before, _ = fitted(20.0)
+    after = _core.Bundle.from_bytes(before.to_bytes())
+    features = np.zeros((4, 2, len(FEATURES)))
+    features[2:, :, FEATURES.index(_core.MotionFeature.speed)] = 1.0
+    add_at_rest(after, features, np.array([[0.3, 0.0], [0.4, 0.0], [9.0, 9.0], [9.0, 9.0]]), 0.002)
+    still = np.zeros((500, 2))
+    variance = [
+        _core.estimate(one, recordings[0].t_ns[:500], still, still, still, 1)["sigma_nm"][-1] ** 2
+        for one in (before, after)
+    ]
+    assert variance[1] - variance[0] == pytest.approx([(0.3**2 + 0.4**2) / 2, 0], rel=0.02, abs=1e-9)
+    assert after.error_scale.limit_weights == before.error_scale.limit_weights
+    assert after.error_scale.sigma_weights == before.error_scale.sigma_weights
 
 
 def test_the_scale_reaches_the_spread_in_faster_programs_and_stays_where_data_determine_the_prior():

@@ -53,8 +53,7 @@ void ResidualStage::reset() noexcept {
   carrying_.seen = false;
 }
 
-ResidualStage::ModelRows ResidualStage::model_rows() noexcept {
-  if (unknown_ == 0) return {motion_.momentum(), motion_.beta()};
+ResidualStage::ModelRows ResidualStage::known_rows() noexcept {
   const std::size_t n = joints();
   for (std::size_t i = 0; i < n; ++i) {
     const bool known = !(unknown_ >> i & 1);

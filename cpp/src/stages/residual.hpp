@@ -171,7 +171,11 @@ class ResidualStage {
   struct ModelRows {
     std::span<const double> momentum, beta;
   };
-  ModelRows model_rows() noexcept;
+  ModelRows model_rows() noexcept {
+    if (unknown_ == 0) [[likely]] return {motion_.momentum(), motion_.beta()};
+    return known_rows();
+  }
+  ModelRows known_rows() noexcept;
 
   void carry(const Load& load) noexcept;
   void recompute() noexcept;

@@ -26,7 +26,7 @@ from scipy.special import gammaincinv, ndtri
 from tauext._core import Bundle, MotionFeature
 from tauext.errors import TrainingError
 from tauext.fit.tail import FalseAlarmBudget, duration
-from tauext.train.error_scale import FEATURES
+from tauext.train.error_scale import FEATURES, rest_sigma_nm
 from tauext.train.held_peaks import REGIONS, Moment, Peaks, collect_peaks
 from tauext.train.hits import noticed_pushes_n
 from tauext.train.paper_limits import LimitMotion
@@ -171,7 +171,8 @@ def put_asked(bundle: Bundle, motion: LimitMotion, config: AskedConfig = AskedCo
     if promised is None or not promised.promise.is_supported or not motion.by_calibration:
         factor = worst.level(asked.rate_per_hour)
         put_factors(bundle, factor, worst.level(max(motion.alarm.contacts_an_hour, asked.rate_per_hour)))
-        floors = put_floors(bundle, worst.hours, config)
+        rest_nm = rest_sigma_nm(bundle) if motion.rest_sigma_nm is None else motion.rest_sigma_nm
+        floors = put_floors(bundle, worst.hours, config, rest_nm)
         for moment in facts.get("one_moment", []):
             moment["limit_nm"] *= factor
             moment["without_nm"] *= factor
@@ -228,17 +229,19 @@ def put_factors(bundle: Bundle, collision: float, contact: float) -> None:
         setattr(bundle, f"{region}_limit_nm", (collision * limit_nm).tolist())
 
 
-def put_floors(bundle: Bundle, hours: float, config: AskedConfig) -> np.ndarray | None:
+def put_floors(bundle: Bundle, hours: float, config: AskedConfig, sigma_nm: np.ndarray) -> np.ndarray | None:
     """Raise limits that follow the error where they are lowest; returns the least ones sliding and at rest,
     (2, joints), [N m], or None if limits are constant.
 
-    At rest it follows from the joint's friction and its standard error there, as far as the bundle has a prior of it.
+    At rest it follows from the joint's friction, as far as the bundle has a prior of it, and its standard error there.
+
+    Args:
+        sigma_nm: standard errors at rest in the recorded motion, (joints,); the scale contains those of other programs.
     """
     scale = bundle.error_scale
     if not scale.follows:
         return None
     constant, standstill = FEATURES.index(MotionFeature.constant), FEATURES.index(MotionFeature.standstill)
-    sigma_nm = np.array(scale.sigma_near_weights).reshape(bundle.joints, -1)[:, [constant, standstill]].sum(axis=1)
     friction_nm = np.array([bundle.prior.friction_at_rest_nm(j) for j in range(bundle.joints)])
     least, fades = config.slow_share * faded(hours, config.slow_hours), faded(hours, config.rest_hours)
     rest_nm = fades * np.minimum(config.rest_share * friction_nm, config.rest_errors * sigma_nm)

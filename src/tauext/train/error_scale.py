@@ -308,6 +308,13 @@ def add_unseen(bundle: _core.Bundle, rows: ErrorRows) -> None:
     bundle.error_scale = scale
 
 
+def rest_sigma_nm(bundle: _core.Bundle) -> np.ndarray:
+    """Standard error of each joint at rest, (joints,), [N m]."""
+    scale, at_rest = bundle.error_scale, (_core.MotionFeature.constant, _core.MotionFeature.standstill)
+    at = [k for k, kind in enumerate(scale.features) if kind in at_rest]
+    return np.asarray(np.array(scale.sigma_near_weights).reshape(bundle.joints, -1)[:, at].sum(axis=1))
+
+
 def rest_squares(rows: ErrorRows, joint: int) -> np.ndarray:
     """Mean square error of each rest of a joint, (rests,)."""
     speed = FEATURES.index(_core.MotionFeature.speed)

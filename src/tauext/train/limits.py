@@ -33,6 +33,7 @@ from tauext.train.error_scale import (
     fit_error_scale,
     limit_scale,
     put_constant_error,
+    rest_sigma_nm,
     with_outputs,
 )
 from tauext.train.other_programs import widen_for_other_programs
@@ -113,6 +114,7 @@ def put_error_scale(run: TrainingRun, bundle: Bundle, setup: Setup, motion: Limi
         started = run.start.put_scale(run, bundle, rows)
         if started is None:
             started = fit_error_scale(bundle, rows, run.config.drift)
+            motion = replace(motion, rest_sigma_nm=rest_sigma_nm(bundle))
             if motion.fit is not None:
                 programs, added = widen_for_other_programs(bundle, setup, motion.fit, run.training, rows)
                 started, motion = started | {"other_programs": programs}, replace(motion, added_weights=added)

@@ -7,7 +7,8 @@ without fold k of F, and tau the prior of all motion, the jackknife's standard e
 .. math:: s = \sqrt{\frac{F - 1}{F} \sum_k (\tau_k - \tau)^2}
 
 It is evaluated in motion of the arm's own joints in other combinations, and faster: each joint repeats a span of its
-recorded motion, drawn for it alone, at one of `paces`. There the error scale must reach `times` standard errors.
+recorded motion, drawn for it alone, at one of `paces`. There the error scale must reach `times` standard errors. Where
+a joint rests there, s is a part of sigma: recordings hold few resting poses, often the same ones.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from tauext import _core
 from tauext.data.recording import Recording
 from tauext.fit.prior_terms import PriorFit
 from tauext.fit.training_set import Setup
-from tauext.train.error_scale import ErrorRows, features_of, fit_weights
+from tauext.train.error_scale import FEATURES, ErrorRows, features_of, fit_weights, rest_sigma_nm
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,8 @@ def widen_for_other_programs(
 ) -> tuple[dict, np.ndarray]:
     """Let the error scale of limits grow with the prior's standard error in other programs.
 
-    The scale remains 1 in the median of the recorded motion, and its largest value is that of this motion. Returns
-    facts, and what was added to the weights, (joints, features), for a scale of 1 before.
+    The scale remains 1 in the median of the recorded motion, and its largest value is that of this motion. Sigma at
+    rest grows too. Returns facts, and what was added to the weights, (joints, features), for a scale of 1 before.
 
     Args:
         bundle: with the error scale of the recorded motion.
@@ -84,12 +85,32 @@ def widen_for_other_programs(
     usual = np.median(rows.scale(weights), axis=0)
     scale.limit_weights, scale.largest = (weights / usual[:, None]).ravel().tolist(), (largest / usual).tolist()
     bundle.error_scale = scale
+    add_at_rest(bundle, features, spread_nm, rows.config.rests_rad_s)
     names = [link.joint_name for link in bundle.links]
     facts = {
         "standard_error_nm": dict(zip(names, np.sqrt((spread_nm**2).mean(axis=0)).tolist(), strict=True)),
         "scale_grew_by": dict(zip(names, usual.tolist(), strict=True)),
     }
     return facts, added
+
+
+def add_at_rest(bundle: _core.Bundle, features: np.ndarray, spread_nm: np.ndarray, rests_rad_s: float) -> None:
+    """Add the prior's standard error where each joint rests to sigma at rest, in squares.
+
+    Args:
+        features, spread_nm: see spread_rows.
+        rests_rad_s: speed below which a joint rests.
+    """
+    scale, speed = bundle.error_scale, FEATURES.index(_core.MotionFeature.speed)
+    near = np.array(scale.sigma_near_weights).reshape(bundle.joints, -1)
+    before = rest_sigma_nm(bundle)
+    rests = features[:, :, speed] < rests_rad_s
+    squares = (rests * spread_nm**2).sum(axis=0) / np.maximum(rests.sum(axis=0), 1)
+    after = np.hypot(before, np.sqrt(squares))
+    near[:, FEATURES.index(_core.MotionFeature.standstill)] += after - before
+    scale.sigma_near_weights = near.ravel().tolist()
+    scale.largest_sigma = np.maximum(scale.largest_sigma, after).tolist()
+    bundle.error_scale = scale
 
 
 def spread_rows(

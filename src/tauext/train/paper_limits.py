@@ -96,6 +96,8 @@ class LimitMotion:
     """Errors from which the bundle's error scale follows."""
     added_weights: np.ndarray | None = None
     """What other programs added to the scale, (joints, features); see other_programs."""
+    rest_sigma_nm: np.ndarray | None = None
+    """Standard errors at rest in the recorded motion, (joints,); None: those of the bundle."""
     fit: PriorFit | None = None
 
     @property

@@ -21,7 +21,8 @@ sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 
 from common import arguments, checkpoint, head, save_json, table_row, trained, write_tables
 from tauext_lab.sim.rig import velocity
-from tauext_twin.arm import read_arm
+from tauext_twin.arm import Arm, read_arm
+from tauext_twin.held_out import sliding_friction
 from tauext_twin.posterior import VALUES, find_posterior
 from unseen.arms import Maker, arm_of, fresh_makers, makers
 from unseen.recordings import TAKES, make_dataset
@@ -53,43 +54,33 @@ def judged(maker: Maker, seed: int, folder: Path) -> dict[str, Any]:
     """Each parameter of an arm: value, standard error, truth."""
     data = make_dataset(maker, seed, folder, USED)
     arm = read_arm(trained(data, folder / "prior.tauext"), maker.model, data, {})
-    corrected = arm.setup.prior.corrected_links
-    posterior = find_posterior(arm.setup, arm.training, arm.terms, corrected, arm.torque_error, arm.torque_common)
+    posterior = find_posterior(arm)
     values, errors = posterior.values(posterior.mean), posterior.standard_errors(seed)
     true, truth = arm_of(maker, seed), np.full(values.shape, np.nan)
-    truth[:, :2] = true_friction(maker, seed, arm.setup.observer, posterior.terms)
+    truth[:, :2] = true_friction(maker, seed, arm)
     for j, link in enumerate(true.tree.links):
         truth[j, 2:7] = link.rotor_inertia, link.mass, *link.com
     rows = {what: [values[:, k].tolist(), errors[:, k].tolist(), truth[:, k].tolist()] for k, what in enumerate(VALUES)}
     return {"arm": maker.name, "seed": seed, "fresh": maker.fresh, "values": rows}
 
 
-def true_friction(
-    maker: Maker, seed: int, observer: _core.ObserverSettings, terms: Sequence[Sequence[_core.Term]]
-) -> np.ndarray:
+def true_friction(maker: Maker, seed: int, known: Arm) -> np.ndarray:
     """Damping and frictionloss that come closest to the friction which acted in training, (n, 2)."""
-    arm, n = arm_of(maker, seed), len(maker.joints)
-    known = load_tree(maker.model, maker.joints)
-    speed = min(term.speed for of in terms for term in of if term.kind == _core.TermKind.coulomb)
+    arm, n, observer = arm_of(maker, seed), len(maker.joints), known.setup.observer
     plain = _core.ObserverSettings(
         gain_per_s=observer.gain_per_s, timing=observer.timing, sample_period_ns=observer.sample_period_ns,
         network_stride=observer.network_stride,
     )  # fmt: skip
-    settings = _core.PriorSettings()
-    settings.terms = [
-        one
-        for j in range(n)
-        for one in (_core.Term(_core.TermKind.viscous, j), _core.Term(_core.TermKind.coulomb, j, speed=speed))
-    ]
-    settings.weights = [0.0] * (2 * n * n)
-    squares, moments, none = np.zeros((n, 2, 2)), np.zeros((n, 2)), empty(known)
+    settings = sliding_friction(np.zeros(n), np.zeros(n), known.speed)
+    tree = load_tree(maker.model, maker.joints)
+    squares, moments, none = np.zeros((n, 2, 2)), np.zeros((n, 2)), empty(tree)
     for number, take in enumerate(USED):
         if take.part != "train":
             continue
         rng, samples = maker.random(seed, 1 + number), round(take.minutes * 60 * RATE_HZ)
         contacts = draw_contacts(take.contacts, take.minutes * 60, n, rng)  # in the order of write_take
         run = simulate(
-            arm, known, draw_motion(maker, samples, RATE_HZ, rng), maker.torque_nm, contacts, take.warm_from_s
+            arm, tree, draw_motion(maker, samples, RATE_HZ, rng), maker.torque_nm, contacts, take.warm_from_s
         )
         keep = slice(0, None, RATE_HZ // maker.rate_hz)
         t_ns = np.arange(samples, dtype=np.int64)[keep] * (1_000_000_000 // RATE_HZ)

@@ -29,10 +29,10 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "lerobot/benchmarks"))
 
 from common import ROOT, arguments, checkpoint, head, joined, short, table_row, tauext, trained, write_tables
 from mocca import write_dataset
-from sysid_fit import CAP_S, MOST_WINDOWS, WINDOW_S, fitted, toolbox
+from sysid_fit import CAP_S, WINDOW_S, fitted, toolbox
 from tauext_lab.bench.mocca_recording import read_segments
 from tauext_twin.arm import Arm, read_arm
-from tauext_twin.held_out import WINDOWS_S, rollout_errors, torque_errors, windows
+from tauext_twin.held_out import MOST_WINDOWS, WINDOWS_S, rollout_errors, torque_errors, windows
 from tauext_twin.model_file import Inertial, JointChange
 from tauext_twin.posterior import Kind, find_posterior
 from tauext_twin.twin import changed_model, drives_of, finite, make_twin
@@ -152,9 +152,9 @@ def measured(folder: Path) -> dict[str, Any]:
     for by in FITS:
         fit = checkpoint(folder / f"sysid-{by}.json", lambda by=by: asdict(fitted(arm, by)))
         changes = [JointChange(**one | {"inertial": Inertial(**one["inertial"])}) for one in fit["changes"]]
-        model, joints, beside = changed_model(arm, changes)
-        found["rmse"][by] = torque_errors(arm, [beside], speed_of(arm))[0][0].tolist()
-        rolled = rollout_errors(arm, model, joints, drives or None)
+        model, beside = changed_model(arm, changes)
+        found["rmse"][by] = torque_errors(arm, [beside])[0][0].tolist()
+        rolled = rollout_errors(arm, model, drives)
         found["rollout"][by] = {f"{w:g}": finite(one) for w, one in rolled.items()}
         found["time_s"][by] = fit["time_s"]
         found["sysid"][by] = {name: fit[name] for name in ("capped", "windows", "error")} | {
@@ -185,11 +185,6 @@ def unchanged(arm: Arm) -> dict[float, list[float]]:
 
 
 SHOWN = ("damping", "frictionloss", "armature", "mass")
-
-
-def speed_of(arm: Arm) -> float:
-    """Smoothing of Coulomb friction, as the twin is judged with, [rad/s]."""
-    return min(term.speed for of in arm.terms for term in of if term.kind == Kind.coulomb)
 
 
 # --- TX40.
@@ -244,7 +239,7 @@ def tx40(folder: Path) -> dict[str, Any]:
         trained(folder / "data", folder / "prior.tauext", "--accept", "limit-wide"), None, folder / "data", {}
     )
     content = make_twin(arm, folder / "twin.xml", 0, 0, Silent())
-    posterior = find_posterior(arm.setup, arm.training, arm.terms, arm.setup.prior.corrected_links, arm.torque_error)
+    posterior = find_posterior(arm)
     x, error = posterior.off_the_file(), np.sqrt(np.diag(posterior.covariance))
     kinds = [(term.kind, term.a) for of in arm.terms for term in of]
     at = [kinds.index((Kind.constant, j)) for j in range(len(arm.names))]

@@ -6,7 +6,7 @@ import contextlib
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,16 +14,13 @@ import mujoco
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 from tauext_twin.arm import Arm
-from tauext_twin.held_out import MOVES_RAD_S
+from tauext_twin.held_out import MOVES_RAD_S, state_of, windows
 from tauext_twin.model_file import Inertial, JointChange
 
-from tauext.data.recording import Recording
 from tauext.robot.compile import no_mujoco_warnings
 from tauext.robot.read import placed_bodies, read_robot
 
 WINDOW_S = 0.5
-MOST_WINDOWS = 40
-"""Evenly over the training motion."""
 STEP_S = 0.004
 """Longest step of a simulation."""
 MOST_ROWS, CUT_HZ = 500, 10.0
@@ -79,20 +76,6 @@ def model_of(arm: Arm) -> mujoco.MjSpec:
     return spec
 
 
-def windows_of(recordings: list[Recording]) -> list[tuple[Recording, int, int]]:
-    """First and last sample of windows of WINDOW_S without a gap, end to end; at most MOST_WINDOWS."""
-
-    def every() -> Iterator[tuple[Recording, int, int]]:
-        for one in recordings:
-            length = round(WINDOW_S * one.rate_hz)
-            for first in range(0, one.samples - length, length):
-                if 1e-9 * (one.t_ns[first + length] - one.t_ns[first]) < 1.05 * WINDOW_S:
-                    yield one, first, first + length
-
-    found = list(every())
-    return [found[k] for k in np.unique(np.linspace(0, len(found) - 1, MOST_WINDOWS).round().astype(int))]
-
-
 def parameters(arm: Arm, spec: mujoco.MjSpec, model: mujoco.MjModel, bodies: list[str]) -> Any:
     """Friction and armature of each joint, mass and centre of mass of its heaviest body.
 
@@ -101,8 +84,7 @@ def parameters(arm: Arm, spec: mujoco.MjSpec, model: mujoco.MjModel, bodies: lis
     times the mass, and within COM_M.
     """
     sysid, found = toolbox(), toolbox().ParameterDict()
-    units = np.array(arm.setup.observer.nm_per_unit or [1.0] * len(arm.names))
-    torque = units * np.sqrt(np.mean(np.concatenate([one.tau for one in arm.training]) ** 2, axis=0))
+    torque = arm.units * np.sqrt(np.mean(np.concatenate([one.tau for one in arm.training]) ** 2, axis=0))
     speed = np.sqrt(np.mean(np.concatenate([one.dq for one in arm.training]) ** 2, axis=0))
     data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
     mujoco.mj_forward(model, data)
@@ -146,7 +128,7 @@ def fitted(arm: Arm, by: str) -> Fit:
     ]
     start, reached = parameters(arm, spec, model, heaviest), []
     best: tuple[float, np.ndarray] = (math.inf, np.empty(0))
-    difference, windows = {"rollout": rollouts, "torque": torques}[by](arm, spec, model)
+    difference, chosen = {"rollout": rollouts, "torque": torques}[by](arm, spec, model)
 
     def residual(x: np.ndarray, params: Any) -> tuple[list[np.ndarray], None, None]:
         nonlocal best
@@ -174,27 +156,20 @@ def fitted(arm: Arm, by: str) -> Fit:
             float(found[f"{link.joint_name} {what}"].value[0]) for what in ("damping", "frictionloss", "armature")
         ]
         changes.append(JointChange(link.joint_name, *values, inertial=inertial))
-    return Fit(changes, time_s, time_s > CAP_S, windows, (math.sqrt(reached[0]), math.sqrt(best[0])))
+    return Fit(changes, time_s, time_s > CAP_S, chosen, (math.sqrt(reached[0]), math.sqrt(best[0])))
 
 
 Difference = Callable[[np.ndarray, Any], np.ndarray]
 """Residuals of points (parameters, points) and a ParameterDict, (residuals, points)."""
 
 
-def state_of(arm: Arm, model: mujoco.MjModel) -> tuple[list[int], list[int], np.ndarray]:
-    """Where the joints are in MuJoCo's positions and velocities, and the recorded torque's units, [N m]."""
-    joints = [model.joint(link.joint_name) for link in arm.setup.tree.links]
-    units = np.array(arm.setup.observer.nm_per_unit or [1.0] * len(arm.names))
-    return [int(j.qposadr[0]) for j in joints], [int(j.dofadr[0]) for j in joints], units
-
-
 def rollouts(arm: Arm, spec: mujoco.MjSpec, model: mujoco.MjModel) -> tuple[Difference, int]:
     """By the toolbox's rollouts of windows, each signal as a share of its spread in the training motion."""
-    sysid, rate, (qpos, dofs, units) = toolbox(), arm.training[0].rate_hz, state_of(arm, model)
+    sysid, rate, (qpos, dofs) = toolbox(), arm.training[0].rate_hz, state_of(arm, model)
     steps = round(1 / (rate * model.opt.timestep))
     spread = np.concatenate([np.hstack([one.q - one.q.mean(axis=0), one.dq]) for one in arm.training])
     scale = np.maximum(np.sqrt(np.mean(spread**2, axis=0)), 1e-3)
-    chosen, chunks = windows_of(arm.training), []
+    chosen, chunks = windows(arm.training, WINDOW_S), []
     for one, first, last in chosen:
         fine, at = np.arange((last - first) * steps + 1) / steps, np.arange(last - first + 1)
         torque = np.column_stack([np.interp(fine, at, tau) for tau in one.tau[first : last + 1].T])
@@ -204,7 +179,7 @@ def rollouts(arm: Arm, spec: mujoco.MjSpec, model: mujoco.MjModel) -> tuple[Diff
         chunks.append(
             sysid.SystemTrajectory(
                 model,
-                sysid.TimeSeries(fine / rate, units * torque),
+                sysid.TimeSeries(fine / rate, arm.units * torque),
                 sysid.TimeSeries.from_names(at / rate, seen, model),
                 sysid.create_initial_state(model, q, dq),
                 None,
@@ -226,14 +201,14 @@ def rollouts(arm: Arm, spec: mujoco.MjSpec, model: mujoco.MjModel) -> tuple[Diff
 
 def torques(arm: Arm, spec: mujoco.MjSpec, model: mujoco.MjModel) -> tuple[Difference, int]:
     """By MuJoCo's inverse dynamics of the smoothed motion, as a share of each joint's torque, where the joint moves."""
-    sysid, (qpos, dofs, units) = toolbox(), state_of(arm, model)
+    sysid, (qpos, dofs) = toolbox(), state_of(arm, model)
     rows = []
     for one in arm.training:
         low = butter(3, min(CUT_HZ, one.rate_hz / 6), fs=one.rate_hz, output="sos")
         q, tau = (sosfiltfilt(low, signal, axis=0) for signal in (one.q, one.tau))
         dq = np.gradient(q, 1 / one.rate_hz, axis=0)
         kept = slice(round(0.5 * one.rate_hz), -round(0.5 * one.rate_hz))
-        rows.append(np.stack([q, dq, np.gradient(dq, 1 / one.rate_hz, axis=0), units * tau])[:, kept])
+        rows.append(np.stack([q, dq, np.gradient(dq, 1 / one.rate_hz, axis=0), arm.units * tau])[:, kept])
     every = np.concatenate(rows, axis=1)
     q, dq, ddq, tau = every[:, np.unique(np.linspace(0, every.shape[1] - 1, MOST_ROWS).round().astype(int))]
     weight = (np.abs(dq) > MOVES_RAD_S) / np.sqrt(np.mean(tau**2, axis=0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,12 +22,15 @@ from tauext.fit.prior_facts import SHARED
 from tauext.fit.torque_constants import ConstantsConfig
 from tauext.fit.training_set import Setup
 from tauext.robot.read import load_tree
+from tauext.train.suspects import Suspect, without_suspects
 from tauext_twin.model_file import KINDS
 
 MOST_GAIN_PER_S = 10.0
 """Of the observer: a faster one passes more of a differentiated encoder's noise, which hides inertia."""
 MOST_HZ = 10.0
 """Bandwidth of positions from which friction and inertia are found."""
+GAP_S = 1.0
+"""Lost samples of at most this time are filled, so that positions can be smoothed across them."""
 HELD_OUT = 0.2
 """Share of each training recording that judges the twin where the dataset has no test recordings."""
 PLACE_M, TURN = 2e-3, 2e-3
@@ -57,8 +60,26 @@ class Arm:
     """Standard error of each joint's torque constant beside the others, (n,), as a share ..."""
     torque_common: float
     """... and of all of them together."""
-    facts: dict[str, Any]
-    """The bundle's provenance."""
+
+    @property
+    def given(self) -> Path:
+        """The user's file."""
+        return self.usd or self.robot
+
+    @property
+    def units(self) -> np.ndarray:
+        """Of the recorded torques, (n,), [N m]; 1 where unknown."""
+        return np.array(self.setup.observer.nm_per_unit or [1.0] * len(self.names))
+
+    @property
+    def in_nm(self) -> np.ndarray:
+        """Joints whose torque is known in N m, (n,) bool."""
+        return ~np.array(self.setup.observer.unknown_constant or [False] * len(self.names), dtype=bool)
+
+    @property
+    def speed(self) -> float:
+        """Narrowest smoothing of Coulomb friction, with which files are judged, [rad/s]."""
+        return min(term.speed for of in self.terms for term in of if term.kind == _core.TermKind.coulomb)
 
 
 def read_arm(bundle_file: Path, robot: Path | None, data: Path | None, names: Mapping[str, str]) -> Arm:
@@ -96,8 +117,8 @@ def read_arm(bundle_file: Path, robot: Path | None, data: Path | None, names: Ma
         network_stride=old.network_stride, nm_per_unit=list(old.nm_per_unit or []),
         unknown_constant=list(old.unknown_constant or []),
     )  # fmt: skip
-    left_out = facts.get("suspects", {}).get("listed", [])
-    training = [without(one, left_out) for one in free_pieces(dataset.training())]
+    training = dataset.training()
+    training = free_pieces(without_suspects(training, suspects_of(facts, training)))
     test = free_pieces(dataset.recordings("test"))
     if not test:  # the end of each recording; the rest makes the twin
         ends = [round((1 - HELD_OUT) * one.samples) for one in training]
@@ -111,27 +132,28 @@ def read_arm(bundle_file: Path, robot: Path | None, data: Path | None, names: Ma
     constants = facts.get("torque_constants") or {}
     error, common = torque_error(constants, joints), float(constants.get("common_share", 0.0))
     of_out = tuple(names.get(name, name) for name in joints)
-    return Arm(bundle, robot, usd, setup, joints, of_out, own, training, test, error, common, facts)
+    return Arm(bundle, robot, usd, setup, joints, of_out, own, training, test, error, common)
 
 
 def smooth(recording: Recording) -> Recording:
-    """A recording with even stamps, and positions and velocities without noise above MOST_HZ, without delay.
+    """A recording with even stamps, and positions and velocities without noise above MOST_HZ, without delay; the
+    motion before and after a gap is smoothed by itself.
 
     A differentiated encoder and stamps that jitter make accelerations so noisy that inertia seems smaller than it is;
     torques stay as they are.
     """
     period_ns = fitted_period_ns(recording.t_ns)
-    ticks = np.r_[0.0, np.cumsum(periods_of(np.diff(recording.t_ns), period_ns))]
-    every, rate_hz = np.arange(ticks[-1] + 1), 1e9 / period_ns
+    steps, rate_hz = periods_of(np.diff(recording.t_ns), period_ns), 1e9 / period_ns
+    ticks, q, dq = np.r_[0.0, np.cumsum(steps)], recording.q.copy(), recording.dq.copy()
     low_pass = butter(2, min(MOST_HZ, rate_hz / 5), fs=rate_hz, output="sos")
-    if len(every) < 3 * rate_hz / MOST_HZ + 10:
-        return recording
-    filled = np.column_stack([np.interp(every, ticks, of_joint) for of_joint in recording.q.T])
-    q = sosfiltfilt(low_pass, filled, axis=0)
-    rows = ticks.astype(int)
-    dq = np.gradient(q, 1 / rate_hz, axis=0)[rows]
-    t_ns = recording.t_ns[0] + np.round(ticks * period_ns).astype(np.int64)
-    return replace(recording, t_ns=t_ns, q=np.ascontiguousarray(q[rows]), dq=np.ascontiguousarray(dq))
+    for rows in np.split(np.arange(recording.samples), np.flatnonzero(steps > GAP_S * rate_hz) + 1):
+        at = (ticks[rows] - ticks[rows[0]]).astype(int)
+        if at[-1] < 3 * rate_hz / MOST_HZ + 10:  # too short for the filter
+            continue
+        even = np.column_stack([np.interp(np.arange(at[-1] + 1), at, of_joint) for of_joint in q[rows].T])
+        even = sosfiltfilt(low_pass, even, axis=0)
+        q[rows], dq[rows] = even[at], np.gradient(even, 1 / rate_hz, axis=0)[at]
+    return replace(recording, t_ns=recording.t_ns[0] + np.round(ticks * period_ns).astype(np.int64), q=q, dq=dq)
 
 
 def find_dataset(bundle_file: Path, facts: Mapping[str, Any]) -> Dataset:
@@ -172,17 +194,11 @@ def expect_same_arm(tree: _core.Tree, bundle: _core.Bundle, robot: Path) -> None
             )
 
 
-def without(recording: Recording, listed: list[dict[str, Any]]) -> Recording:
-    """The longest part of a recording before or between the unlabelled contacts that training left out."""
-    begin = int(recording.t_ns[0])
-    edges = [0]
-    for one in listed:
-        if one["recording"] == recording.name:
-            edges += np.searchsorted(recording.t_ns - begin, [one["from_ns"] - 10**9, one["to_ns"] + 10**9]).tolist()
-    edges.append(recording.samples)
-    spans = list(zip(edges[::2], edges[1::2], strict=False))
-    first, last = max(spans, key=lambda span: span[1] - span[0])
-    return recording if (first, last) == (0, recording.samples) else cut(recording, slice(first, last))
+def suspects_of(facts: Mapping[str, Any], recordings: Sequence[Recording]) -> list[Suspect]:
+    """The unlabelled contacts that training left out."""
+    begins = {one.name: int(one.t_ns[0]) for one in reversed(recordings)}
+    listed = [one for one in facts.get("suspects", {}).get("listed", []) if one["recording"] in begins]
+    return [Suspect(**one, number=0, at_ns=0, begin_ns=begins[one["recording"]]) for one in listed]
 
 
 def torque_error(constants: Mapping[str, Any], joints: tuple[str, ...]) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,15 +12,18 @@ from xml.parsers import expat
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tauext import _core
 from tauext.errors import RobotError
 from tauext.files.atomic_write import atomic_write
+from tauext.robot.inertial import six_of
 from tauext.robot.read import placed_bodies, read_robot
 
 KINDS = {".xml": "MJCF", ".mjcf": "MJCF", ".urdf": "URDF", ".usd": "USD", ".usda": "USD", ".usdc": "USD"}
-
-
+SENSORS = ("jointpos", "jointvel", "jointactuatorfrc")
+"""MuJoCo's sensors of a joint's position [rad], velocity [rad/s] and drive torque [N m]."""
+SENSOR_PREFIX = "twin_"
 Node = Any
 """A document of minidom, or an element of one."""
 
@@ -62,36 +65,27 @@ class JointChange:
     armature: float | None = None
     inertial: Inertial | None = None
     drive: Drive | None = None
+    noise: tuple[float, ...] = ()
+    """Standard deviations of SENSORS, for an MJCF; of the first ones, or of none."""
 
 
-@dataclass(frozen=True)
-class Given:
-    """A joint's parameters in the file as it came."""
-
-    damping: float
-    frictionloss: float
-    armature: float
-    motors: float
-    """Part of the armature that belongs to actuators."""
-
-
-def given_of(path: Path, tree: _core.Tree) -> list[Given]:
-    """Each joint's parameters in a robot file; a URDF's from its `dynamics`."""
+def given_of(path: Path, tree: _core.Tree) -> np.ndarray:
+    """Damping, frictionloss and armature of each joint in a robot file, a URDF's from its `dynamics`, and the part of
+    the armature that belongs to actuators: (n, 4)."""
     model, joints, _ = placed_bodies(path, tree)
     dynamics = {}
     if KINDS.get(path.suffix) == "URDF":
         for joint in _document(path).getElementsByTagName("joint"):
             for one in _children(joint, "dynamics"):
-                dynamics[joint.getAttribute("name")] = one
-    found = []
-    for joint, link in zip(joints, tree.links, strict=True):
-        dof = int(model.jnt_dofadr[joint])
-        one = dynamics.get(link.joint_name)
-        loss = float(model.dof_frictionloss[dof] if one is None else one.getAttribute("friction") or 0)
-        damping = float(np.ravel(model.dof_damping[dof])[0] if one is None else one.getAttribute("damping") or 0)
+                dynamics[joint.getAttribute("name")] = [
+                    float(one.getAttribute(name) or 0) for name in ("damping", "friction")
+                ]
+    rows = []
+    for dof, link in zip(model.jnt_dofadr[joints], tree.links, strict=True):
+        in_model = [float(np.ravel(model.dof_damping[dof])[0]), float(model.dof_frictionloss[dof])]
         motors = link.rotor_inertia - float(model.dof_armature[dof])
-        found.append(Given(damping, loss, link.rotor_inertia, motors))
-    return found
+        rows.append([*dynamics.get(link.joint_name, in_model), link.rotor_inertia, motors])
+    return np.array(rows)
 
 
 def body_change(path: Path, tree: _core.Tree, values: np.ndarray, changed: Sequence[bool]) -> list[JointChange]:
@@ -131,8 +125,8 @@ def expect_kinds(robot: Path, out: Path) -> tuple[str, str]:
     return kinds
 
 
-def write_model(robot: Path, out: Path, changes: Sequence[JointChange], note: str) -> None:
-    """Write the robot file with these changes under another name, whole or not at all.
+def write_model(robot: Path, out: Path, changes: Sequence[JointChange], note: str) -> list[str]:
+    """Write the robot file with these changes under another name, whole or not at all; returns the sensors it got.
 
     A file of the same kind keeps its text, comments and meshes; relative paths are made to fit the new folder. From a
     URDF, an MJCF is made by MuJoCo.
@@ -143,14 +137,18 @@ def write_model(robot: Path, out: Path, changes: Sequence[JointChange], note: st
     Raises:
         RobotError: of another kind than can be written from this one; no such joint or body; an unreadable file.
     """
-    kinds = expect_kinds(robot, out)
-    if kinds == ("URDF", "URDF"):
-        text = _changed_urdf(robot, out, changes, note)
+    kinds, sensors = expect_kinds(robot, out), []
+    document = _converted(robot) if kinds == ("URDF", "MJCF") else _expanded(robot)
+    if kinds[1] == "URDF":
+        _change_urdf(document, robot, out, changes)
     else:
-        document = _expanded(robot) if kinds[0] == "MJCF" else _converted(robot, out)
-        text = _changed_mjcf(document, robot, out, changes, note)
+        _change_mjcf(document, robot, out, changes)
+        sensors = _add_sensors(document, changes)
+    document.insertBefore(document.createComment(f" {note.replace('--', '- -')} "), document.documentElement)
     with atomic_write(out) as part:
-        part.write_text(text, encoding="utf-8")
+        lines = ['<?xml version="1.0"?>', *(one.toxml() for one in document.childNodes), ""]
+        part.write_text("\n".join(lines), encoding="utf-8")
+    return sensors
 
 
 def _document(path: Path) -> Node:
@@ -158,101 +156,6 @@ def _document(path: Path) -> Node:
         return minidom.parseString(path.read_bytes())
     except (expat.ExpatError, ValueError, OSError) as error:
         raise RobotError(f"{path}: cannot be rewritten: {error}") from error
-
-
-def _children(of: Node, tag: str) -> list[Node]:
-    return [one for one in of.childNodes if one.nodeType == one.ELEMENT_NODE and one.tagName == tag]
-
-
-def _child(of: Node, tag: str) -> Node:
-    """The first child of this name, made where there is none, on a line of its own."""
-    for one in _children(of, tag):
-        return one
-    document = of.ownerDocument
-    before = of.firstChild
-    lead = before.data if before is not None and before.nodeType == before.TEXT_NODE else "\n"
-    made = document.createElement(tag)
-    of.insertBefore(made, before)
-    of.insertBefore(document.createTextNode(lead), made)
-    return made
-
-
-def _text(document: Node, note: str, source: Path | None) -> str:
-    """The document below what the source has before its root, and the note as a comment."""
-    head = '<?xml version="1.0"?>\n'
-    if source is not None:
-        begins, parser = [], expat.ParserCreate()
-        parser.StartElementHandler = lambda *_: begins.append(parser.CurrentByteIndex)
-        content = source.read_bytes()
-        parser.Parse(content, True)
-        head = content[: begins[0]].decode("utf-8", "replace")
-    return f"{head}<!-- {note.replace('--', '- -')} -->\n{document.documentElement.toxml()}\n"
-
-
-def _numbers(values: Sequence[float]) -> str:
-    return " ".join(f"{value:.6g}" for value in values)
-
-
-def _named(path: Path, elements: Iterator[Node] | list[Node], name: str, kind: str) -> Node:
-    for one in elements:
-        if one.getAttribute("name") == name:
-            return one
-    raise RobotError(f"{path}: no {kind} {name!r} to change")
-
-
-# --- URDF.
-
-
-def _changed_urdf(robot: Path, out: Path, changes: Sequence[JointChange], note: str) -> str:
-    document = _document(robot)
-    root = document.documentElement
-    for change in changes:
-        joint = _named(robot, _children(root, "joint"), change.joint, "joint")
-        if change.damping is not None or change.frictionloss is not None:
-            dynamics = _child(joint, "dynamics")
-            for name, value in (("damping", change.damping), ("friction", change.frictionloss)):
-                if value is not None:
-                    dynamics.setAttribute(name, f"{value:.6g}")
-        if change.armature is not None:  # URDF has no element for it
-            comment = document.createComment(f" rotor inertia at the joint: {change.armature:.6g} kg m^2 ")
-            joint.insertBefore(comment, joint.firstChild)
-        if (new := change.inertial) is not None:
-            inertial = _child(_named(robot, _children(root, "link"), new.body, "link"), "inertial")
-            origin = _child(inertial, "origin")
-            origin.setAttribute("xyz", _numbers(new.com))
-            origin.setAttribute("rpy", "0 0 0")
-            _child(inertial, "mass").setAttribute("value", f"{new.mass:.6g}")
-            full, element = _full(new), _child(inertial, "inertia")
-            for name, at in {
-                "ixx": (0, 0),
-                "iyy": (1, 1),
-                "izz": (2, 2),
-                "ixy": (0, 1),
-                "ixz": (0, 2),
-                "iyz": (1, 2),
-            }.items():
-                element.setAttribute(name, f"{full[at]:.6g}")
-    for mesh in document.getElementsByTagName("mesh"):
-        _keep_path(mesh, "filename", robot.parent, out.parent)
-    return _text(document, note, robot)
-
-
-def _full(new: Inertial) -> np.ndarray:
-    """The inertia in the body's axes, (3, 3)."""
-    turned = np.empty(9)
-    mujoco.mju_quat2Mat(turned, np.array(new.axes))
-    axes = turned.reshape(3, 3)
-    return np.asarray((axes * np.array(new.inertia)) @ axes.T)
-
-
-def _keep_path(element: Node, attribute: str, before: Path, after: Path) -> None:
-    """Make a relative path of a file in one folder fit another folder; names with a scheme stay."""
-    path = element.getAttribute(attribute)
-    if path and "://" not in path and not os.path.isabs(path) and before.resolve() != after.resolve():
-        element.setAttribute(attribute, os.path.relpath(before / path, after))
-
-
-# --- MJCF.
 
 
 def _expanded(robot: Path, root: Path | None = None) -> Node:
@@ -266,7 +169,7 @@ def _expanded(robot: Path, root: Path | None = None) -> Node:
     return document
 
 
-def _converted(robot: Path, out: Path) -> Node:
+def _converted(robot: Path) -> Node:
     """A URDF as an MJCF; without shapes where MuJoCo cannot read them."""
     try:
         spec = mujoco.MjSpec.from_file(str(robot))
@@ -277,54 +180,115 @@ def _converted(robot: Path, out: Path) -> Node:
     return minidom.parseString(spec.to_xml().encode())
 
 
-def _changed_mjcf(document: Node, robot: Path, out: Path, changes: Sequence[JointChange], note: str) -> str:
-    joints, bodies = document.getElementsByTagName("joint"), document.getElementsByTagName("body")
+def _children(of: Node, tag: str) -> list[Node]:
+    return [one for one in of.childNodes if one.nodeName == tag]
+
+
+def _child(of: Node, tag: str) -> Node:
+    """The first child of this name, made where there is none, on a line of its own."""
+    found = _children(of, tag)
+    if not found:
+        found = [of.insertBefore(of.ownerDocument.createElement(tag), of.firstChild)]
+        of.insertBefore(of.ownerDocument.createTextNode("\n"), found[0])
+    return found[0]
+
+
+def _added(of: Node, tag: str) -> Node:
+    """A new last child, on a line of its own."""
+    made = of.appendChild(of.ownerDocument.createElement(tag))
+    of.appendChild(of.ownerDocument.createTextNode("\n"))
+    return made
+
+
+def _named(path: Path, elements: Iterable[Node], name: str, kind: str) -> Node:
+    for one in elements:
+        if one.getAttribute("name") == name:
+            return one
+    raise RobotError(f"{path}: no {kind} {name!r} to change")
+
+
+def _set(element: Node, **values: str | float | Sequence[float] | None) -> None:
+    """Set attributes to a text, a number or several; None stays as it is."""
+    for name, value in values.items():
+        if value is not None:
+            text = value if isinstance(value, str) else " ".join(f"{one:.6g}" for one in np.atleast_1d(value))
+            element.setAttribute(name, text)
+
+
+def _change_urdf(document: Node, robot: Path, out: Path, changes: Sequence[JointChange]) -> None:
     root = document.documentElement
-    inertials = any(change.inertial is not None for change in changes)
-    for compiler in document.getElementsByTagName("compiler"):
-        if inertials and compiler.getAttribute("inertiafromgeom") == "true":
-            compiler.setAttribute("inertiafromgeom", "auto")
+    for change in changes:
+        joint = _named(robot, _children(root, "joint"), change.joint, "joint")
+        if change.damping is not None or change.frictionloss is not None:
+            _set(_child(joint, "dynamics"), damping=change.damping, friction=change.frictionloss)
+        if change.armature is not None:  # URDF has no element for it
+            comment = document.createComment(f" rotor inertia at the joint: {change.armature:.6g} kg m^2 ")
+            joint.insertBefore(comment, joint.firstChild)
+        if (new := change.inertial) is not None:
+            inertial = _child(_named(robot, _children(root, "link"), new.body, "link"), "inertial")
+            axes = Rotation.from_quat(new.axes, scalar_first=True).as_matrix()
+            six = six_of(axes @ np.diag(new.inertia) @ axes.T)
+            _set(_child(inertial, "origin"), xyz=new.com, rpy="0 0 0")
+            _set(_child(inertial, "mass"), value=new.mass)
+            _set(
+                _child(inertial, "inertia"),
+                **dict(zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), six.tolist(), strict=True)),
+            )
+    for mesh in document.getElementsByTagName("mesh") if _moved(robot, out) else ():
+        path = mesh.getAttribute("filename")
+        if path and "://" not in path and not os.path.isabs(path):  # package:// stays
+            _set(mesh, filename=os.path.relpath(robot.parent / path, out.parent))
+
+
+def _moved(robot: Path, out: Path) -> bool:
+    return robot.parent.resolve() != out.parent.resolve()
+
+
+def _change_mjcf(document: Node, robot: Path, out: Path, changes: Sequence[JointChange]) -> None:
+    joints, bodies = document.getElementsByTagName("joint"), document.getElementsByTagName("body")
+    compilers = document.getElementsByTagName("compiler")
+    for compiler in compilers if any(change.inertial is not None for change in changes) else ():
+        if compiler.getAttribute("inertiafromgeom") == "true":
+            _set(compiler, inertiafromgeom="auto")
     for change in changes:
         joint = _named(robot, joints, change.joint, "joint")
-        for name in ("damping", "frictionloss", "armature"):
-            if (value := getattr(change, name)) is not None:
-                joint.setAttribute(name, f"{value:.6g}")
+        _set(joint, damping=change.damping, frictionloss=change.frictionloss, armature=change.armature)
         if (new := change.inertial) is not None:
             inertial = _child(_named(robot, bodies, new.body, "body"), "inertial")
-            for name in ("quat", "axisangle", "xyaxes", "zaxis", "euler", "fullinertia"):
+            for name in ("axisangle", "xyaxes", "zaxis", "euler", "fullinertia"):
                 if inertial.hasAttribute(name):
                     inertial.removeAttribute(name)
-            inertial.setAttribute("pos", _numbers(new.com))
-            inertial.setAttribute("quat", _numbers(new.axes))
-            inertial.setAttribute("mass", f"{new.mass:.6g}")
-            inertial.setAttribute("diaginertia", _numbers(new.inertia))
+            _set(inertial, pos=new.com, quat=new.axes, mass=new.mass, diaginertia=new.inertia)
         if change.drive is not None:
-            _set_drive(document, root, change.joint, change.drive)
-    before, after = robot.parent, out.parent
-    if before.resolve() != after.resolve():
-        folders = document.getElementsByTagName("compiler")
-        kept = {one.getAttribute("meshdir") or one.getAttribute("assetdir") for one in folders}
-        compiler = folders[0] if folders else _child(root, "compiler")
-        compiler.setAttribute("meshdir", os.path.relpath(before / next(iter(kept - {""}), "."), after))
-    return _text(document, note, robot if KINDS.get(robot.suffix) == "MJCF" else None)
+            _set_drive(document.documentElement, change.joint, change.drive)
+    if _moved(robot, out):
+        kept = [one.getAttribute("meshdir") or one.getAttribute("assetdir") for one in compilers]
+        folder = robot.parent / next(filter(None, kept), ".")
+        compiler = compilers[0] if compilers else _child(document.documentElement, "compiler")
+        _set(compiler, meshdir=os.path.relpath(folder, out.parent))
 
 
-def _set_drive(document: Node, root: Node, joint: str, drive: Drive) -> None:
+def _set_drive(root: Node, joint: str, drive: Drive) -> None:
     """An actuator `dcmotor` with the servo's gain in torque space; it replaces one that the joint has."""
     actuators = _child(root, "actuator")
     for one in list(actuators.childNodes):
         if one.nodeType == one.ELEMENT_NODE and one.getAttribute("joint") == joint:
             actuators.removeChild(one)
-    motor = document.createElement("dcmotor")
-    for name, value in {
-        "name": joint,
-        "joint": joint,
-        "resistance": f"{drive.ohm:.6g}",
-        "motorconst": _numbers((drive.nm_per_ampere, drive.nm_per_ampere)),
-        "input": "pos",
-        "controller": _numbers((drive.kp, 0, drive.kd, 0, 0, 0)),
-        "saturation": _numbers((drive.most_nm, 0, 0)),
-    }.items():
-        motor.setAttribute(name, value)
-    actuators.appendChild(motor)
-    actuators.appendChild(document.createTextNode("\n"))
+    constant = (drive.nm_per_ampere, drive.nm_per_ampere)
+    motor = _added(actuators, "dcmotor")
+    _set(motor, name=joint, joint=joint, resistance=drive.ohm, motorconst=constant, input="pos")
+    _set(motor, controller=(drive.kp, 0, drive.kd, 0, 0, 0), saturation=(drive.most_nm, 0, 0))
+
+
+def _add_sensors(document: Node, changes: Sequence[JointChange]) -> list[str]:
+    """SENSORS that the joints lack, behind the file's own, whose places in `sensordata` stay; returns their names."""
+    wanted = [
+        (kind, change.joint, deviation)
+        for change in changes
+        for kind, deviation in zip(SENSORS, change.noise, strict=False)
+        if all(one.getAttribute("joint") != change.joint for one in document.getElementsByTagName(kind))
+    ]
+    section = _added(document.documentElement, "sensor") if wanted else None
+    for kind, joint, deviation in wanted:
+        _set(_added(section, kind), name=f"{SENSOR_PREFIX}{kind}_{joint}", joint=joint, noise=deviation)
+    return [f"{SENSOR_PREFIX}{kind}_{joint}" for kind, joint, _ in wanted]

@@ -10,11 +10,13 @@ import numpy as np
 from scipy.stats import chi2
 
 from tauext import _core
+from tauext.check.joint_fit import delayed
 from tauext.data.recording import Recording
 from tauext.fit.regression import NormalEquations, solve_within
 from tauext.fit.ridge import Regressors, gather
-from tauext.fit.training_set import Setup, with_presliding
+from tauext.fit.training_set import with_presliding
 from tauext.robot.inertial import PARAMETERS, point_inertia, six_of
+from tauext_twin.arm import Arm
 
 Kind = _core.TermKind
 FRICTION = tuple(
@@ -53,6 +55,10 @@ class Expected:
     """Share of its mass in the file that a link keeps at least, and likewise of its inertia."""
     most_shift: float = 0.15
     """Of a centre of mass, as a share of the arm's length."""
+    lag_s: float = 0.01
+    """By which torques are read earlier and later, to find by how much they lag behind the motion ..."""
+    most_lag_s: float = 0.03
+    """... and the most that is found."""
 
 
 @dataclass(frozen=True)
@@ -67,24 +73,39 @@ class Posterior:
     that errors may persist within it. Lambda: inverse variances of Expected.
     """
 
-    tree: _core.Tree
-    """Of the robot file."""
-    terms: tuple[tuple[_core.Term, ...], ...]
-    """Of each joint, in the order of w."""
     equations: NormalEquations
     """Of all pieces, in the columns of x."""
     A: np.ndarray
     b: np.ndarray
     middle: np.ndarray
     """What A^-1 encloses in C."""
-    torque_error: np.ndarray
-    """Standard error of each joint's torque constant beside the others, (n,), as a share ..."""
-    torque_common: float = 0.0
-    """... and of all of them together, which scales masses too."""
+    arm: Arm
+    lag_s: np.ndarray
+    """By which each joint's torque lags behind its motion, where its error is least, (n,), [s]."""
+
+    @property
+    def tree(self) -> _core.Tree:
+        """Of the robot file."""
+        return self.arm.setup.tree
 
     @cached_property
     def mean(self) -> np.ndarray:
         return self.solved(np.ones(len(self.b), dtype=bool))
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Mean squared error of each joint, (n,), [N m squared]."""
+        return self.equations.squares(self.mean) / self.equations.rows
+
+    @cached_property
+    def hidden(self) -> np.ndarray:
+        """Standard error of rotor inertias beside `covariance`, (n,), [kg m^2].
+
+        A torque that lags by d behind the motion hides d times the damping; and no rotor inertia is below 0: by how
+        much it would be, the torque misleads.
+        """
+        below = np.minimum(self.rotors(np.linalg.solve(self.A, self.b)), 0.0)
+        return np.hypot(below, self.friction(self.mean)[:, 0] * self.lag_s)
 
     @cached_property
     def covariance(self) -> np.ndarray:
@@ -144,7 +165,7 @@ class Posterior:
     def sliding(self) -> list[tuple[int, int]]:
         """Columns of each joint's viscous term, and of its Coulomb term with the narrowest smoothing."""
         found, first = [], 0
-        for terms in self.terms:
+        for terms in self.arm.terms:
             coulomb = [k for k, term in enumerate(terms) if term.kind == Kind.coulomb]
             viscous = next(k for k, term in enumerate(terms) if term.kind == Kind.viscous)
             found.append((first + viscous, first + min(coulomb, key=lambda k: terms[k].speed)))
@@ -161,7 +182,7 @@ class Posterior:
             bounded: neither is below 0.
         """
         out, first = np.zeros((self.tree.size, 2)), 0
-        for j, terms in enumerate(self.terms):
+        for j, terms in enumerate(self.arm.terms):
             at, gram = self.equations.columns[j], self.equations.gram[j]
             own = first + np.array([k for k, term in enumerate(terms) if term.kind in kinds], dtype=int)
             first += len(terms)
@@ -176,6 +197,10 @@ class Posterior:
         """OF_LINK of each link, (n, 6)."""
         return x[-len(OF_LINK) * self.tree.size :].reshape(self.tree.size, -1)
 
+    def rotors(self, x: np.ndarray) -> np.ndarray:
+        """Rotor inertia of each joint, without bounds, (n,), [kg m^2]."""
+        return np.array([link.rotor_inertia for link in self.tree.links]) + self.theta(x)[:, 5]
+
     def values(self, x: np.ndarray, bounded: bool = True) -> np.ndarray:
         """VALUES of each joint, (n, 8).
 
@@ -186,66 +211,64 @@ class Posterior:
         out[:, :2] = self.friction(x, bounded=bounded)
         links, least = self.tree.links, Expected().least_mass
         masses = np.array([link.mass for link in links])
-        out[:, 2] = [link.rotor_inertia for link in links] + theta[:, 5]
+        out[:, 2] = np.maximum(self.rotors(x), 0.0 if bounded else -np.inf)
         out[:, 3], out[:, 7] = np.maximum(masses + theta[:, 0], least * masses), np.maximum(1 + theta[:, 4], least)
         shift = theta[:, 1:4] / np.maximum(out[:, 3:4], 1e-9)
         far = np.linalg.norm(shift, axis=1, keepdims=True) / self.most_shift_m
         out[:, 4:7] = [link.com for link in links] + shift / np.maximum(far, 1.0)
-        if bounded:
-            out[:, 2] = np.maximum(out[:, 2], 0.0)
         return out
 
     def draws(self, count: int, seed: int, bounded: bool = True) -> np.ndarray:
-        """Joint draws of VALUES, (count, n, 8); the torque of each joint is drawn within the error of its constant."""
+        """Joint draws of VALUES, (count, n, 8), of each joint's torque within the error of its constant, and of what
+        is `hidden` of its rotor inertia."""
         rng = np.random.default_rng(seed)
         size = np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
         values, vectors = np.linalg.eigh(self.covariance / np.outer(size, size))
         root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-        drawn = np.array(
-            [self.values(self.mean + root @ rng.standard_normal(len(self.mean)), bounded) for _ in range(count)]
-        ).reshape(count, self.tree.size, len(VALUES))
-        factors = np.maximum(1 + self.torque_error * rng.standard_normal((count, self.tree.size)), 0.5)
-        drawn[:, :, :3] *= factors[:, :, None]
-        drawn[:, :, :4] *= np.maximum(1 + self.torque_common * rng.standard_normal(count), 0.5)[:, None, None]
-        return drawn
+
+        def drawn() -> np.ndarray:
+            values = self.values(self.mean + root @ rng.standard_normal(len(self.mean)), bounded)
+            values[:, 2] += self.hidden * rng.standard_normal(self.tree.size)
+            if bounded:
+                values[:, 2] = np.maximum(values[:, 2], 0.0)
+            factors = 1 + self.arm.torque_error * rng.standard_normal(self.tree.size)
+            values[:, :3] *= np.maximum(factors, 0.5)[:, None]
+            values[:, :4] *= max(1 + self.arm.torque_common * rng.standard_normal(), 0.5)
+            return values
+
+        return np.array([drawn() for _ in range(count)]).reshape(count, self.tree.size, len(VALUES))
 
     def standard_errors(self, seed: int, count: int = 400) -> np.ndarray:
         """Of VALUES, (n, 8): the spread of draws without bounds, at which it would be 0."""
         return np.asarray(self.draws(count, seed, bounded=False).std(axis=0))
 
 
-def find_posterior(
-    setup: Setup,
-    recordings: Sequence[Recording],
-    terms: Sequence[Sequence[_core.Term]],
-    loads: Sequence[_core.Link],
-    torque_error: np.ndarray,
-    torque_common: float = 0.0,
-    expected: Expected = Expected(),
-) -> Posterior:
-    """The posterior of an arm's parameters from free motion.
-
-    Args:
-        setup: the robot file's tree, and the bundle's observer and presliding states.
-        terms: friction terms of each joint, as the bundle's prior has them.
-        loads: links whose beta its load terms see.
-        torque_error, torque_common: see Posterior.
+def find_posterior(arm: Arm, expected: Expected = Expected()) -> Posterior:
+    """The posterior of an arm's parameters from its training motion.
 
     Raises:
         TrainingError: no recording is longer than the observer's warm-up.
     """
+    found = _found(arm, 0.0, expected)
+    early, late = (_found(arm, lag_s, expected).errors for lag_s in (-expected.lag_s, expected.lag_s))
+    bend = np.maximum(early - 2 * found.errors + late, 1e-9 * found.errors)  # of a parabola through all three
+    lag_s = expected.lag_s * (early - late) / (2 * bend)
+    return replace(found, lag_s=np.clip(lag_s, -expected.most_lag_s, expected.most_lag_s))
+
+
+def _found(arm: Arm, lag_s: float, expected: Expected) -> Posterior:
+    """The posterior with the torque read later than its stamps."""
+    setup, terms = arm.setup, arm.terms
+    recordings = [replace(one, tau=delayed(one.tau, lag_s, one.rate_hz)) for one in arm.training]
     total_s = sum(recording.duration_s for recording in recordings)
     count = int(np.clip(total_s / expected.piece_s, 20, expected.most_pieces))
-    regressors = Regressors([list(of) for of in terms], corrected=setup.tree, loads=list(loads))
+    regressors = Regressors([list(of) for of in terms], corrected=setup.tree, loads=setup.prior.corrected_links)
     bent = with_presliding(setup, setup.widths_rad, setup.prior.branches)
     equations = gather(bent, recordings, regressors, max(1, round(count / max(len(recordings), 1))))
     basis, width = link_basis(setup.tree), sum(map(len, terms))
-    unknown = np.array(setup.observer.unknown_constant or [False] * setup.tree.size, dtype=bool)
-    pieces = [reduced(one, basis, width, ~unknown) for one, _ in equations]
+    pieces = [reduced(one, basis, width, arm.in_nm) for one, _ in equations]
     whole = sum(pieces[1:], start=pieces[0])
-    precision = _precision(setup.tree, recordings, terms, whole, expected)
-    found = _weighted(setup.tree, tuple(map(tuple, terms)), pieces, whole, precision)
-    return replace(found, torque_error=torque_error, torque_common=torque_common)
+    return _weighted(arm, pieces, whole, _precision(arm, whole, expected))
 
 
 def link_basis(tree: _core.Tree) -> np.ndarray:
@@ -296,14 +319,9 @@ def largest_inertia(tree: _core.Tree, recordings: Sequence[Recording]) -> float:
     return largest
 
 
-def _precision(
-    tree: _core.Tree,
-    recordings: Sequence[Recording],
-    terms: Sequence[Sequence[_core.Term]],
-    whole: NormalEquations,
-    expected: Expected,
-) -> np.ndarray:
+def _precision(arm: Arm, whole: NormalEquations, expected: Expected) -> np.ndarray:
     """Inverse variances of all unknowns before any motion, (columns,); a friction term may be as large as all of r."""
+    tree, terms = arm.setup.tree, arm.terms
     width = sum(map(len, terms))
     variance = np.ones(width + len(OF_LINK) * tree.size)
     for at, gram, energy in zip(whole.columns, whole.gram, whole.energy, strict=True):
@@ -319,18 +337,13 @@ def _precision(
     mass[-1] += expected.tool_share * masses.sum()
     shift[-1] += expected.tool_m * mass[-1]
     inertia = np.full(tree.size, expected.inertia_share)
-    rotor = np.full(tree.size, expected.rotor_share * largest_inertia(tree, recordings))
+    rotor = np.full(tree.size, expected.rotor_share * largest_inertia(tree, arm.training))
     variance[width:] = np.column_stack([mass, shift, shift, shift, inertia, rotor]).ravel() ** 2
     return 1 / np.maximum(variance, 1e-18)
 
 
 def _weighted(
-    tree: _core.Tree,
-    terms: tuple[tuple[_core.Term, ...], ...],
-    pieces: Sequence[NormalEquations],
-    whole: NormalEquations,
-    precision: np.ndarray,
-    rounds: int = 3,
+    arm: Arm, pieces: Sequence[NormalEquations], whole: NormalEquations, precision: np.ndarray, rounds: int = 3
 ) -> Posterior:
     """The posterior, with each joint weighed by its errors and by how long they persist."""
     size, weight = len(precision), whole.rows / np.maximum(whole.energy, 1e-12 * whole.rows)
@@ -339,10 +352,10 @@ def _weighted(
         for at, gram, moment, one in zip(whole.columns, whole.gram, whole.moment, weight, strict=True):
             A[np.ix_(at, at)] += one * gram
             b[at] += one * moment
-        found = Posterior(tree, terms, whole, A, b, np.diag(precision), np.zeros(tree.size))
+        found = Posterior(whole, A, b, np.diag(precision), arm, np.zeros(len(weight)))
         if k == rounds - 1:
             break
-        errors = np.maximum(whole.squares(found.mean), 1e-12 * whole.energy) / whole.rows
+        errors = np.maximum(found.errors, 1e-12 * whole.energy / whole.rows)
         for j, at in enumerate(whole.columns):
             usual = errors[j] * np.diag(whole.gram[j])
             shown = usual > 1e-9 * usual.max()

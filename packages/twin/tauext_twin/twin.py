@@ -32,29 +32,30 @@ def make_twin(arm: Arm, out: Path, draws: int, seed: int, report: Reporter) -> d
     Raises:
         TauextError: too little motion, or a file that cannot be written.
     """
-    expect_kinds(arm.usd or arm.robot, out)
+    expect_kinds(arm.given, out)
     report.say("fitting friction, inertia and masses")
-    tree, corrected = arm.setup.tree, arm.setup.prior.corrected_links
-    posterior = find_posterior(arm.setup, arm.training, arm.terms, corrected, arm.torque_error, arm.torque_common)
+    posterior = find_posterior(arm)
     x = posterior.off_the_file()
     values, errors = posterior.values(x), posterior.standard_errors(seed)
-    in_nm = np.array([not one for one in arm.setup.observer.unknown_constant or [False] * tree.size])
     moved: np.ndarray = np.any(posterior.theta(x)[:, : len(OF_LINK) - 1] != 0, axis=1)
-    changes = changes_of(arm, values, errors, moved, in_nm)
-    note = f"made by tauext twin {_core.__version__} from {arm.robot.name}; errors are in {side_file(out).name}"
-    write(arm, out, changes, note)
+    deviations = noise(arm)
+    changes = changes_of(arm, values, errors, moved, deviations)
+    note = f"made by tauext twin {_core.__version__} from {arm.given.name}; errors are in {side_file(out).name}"
+    sensors = write(arm, out, changes, note)
     for k, drawn in enumerate(posterior.draws(draws, seed + 1)):
-        every = changes_of(arm, drawn, np.zeros_like(errors), np.ones(tree.size, dtype=bool), in_nm)
+        every = changes_of(arm, drawn, np.zeros_like(errors), np.ones(len(arm.names), dtype=bool), deviations)
         name = out.with_name(f"{out.stem}-{k:0{max(3, len(str(draws - 1)))}d}{out.suffix}")
         write(arm, name, every, f"{note}; draw {k} of seed {seed}")
     report.say("judging on motion that was left out")
+    joints = parameters(arm, values, errors, changes)
     content = {
-        "robot": (arm.usd or arm.robot).name,
+        "robot": arm.given.name,
         "out": out.name,
-        "joints": parameters(arm, values, errors, changes),
+        "joints": joints,
         "drives": {name: vars(change.drive) for name, change in zip(arm.names, changes, strict=True) if change.drive},
-        "noise": noise(arm),
-        **judged(arm, posterior, x, changes, in_nm),
+        "noise": {"encoder_count_rad": encoder_count(arm.test)} | deviations,
+        "sensors": sensors,
+        **judged(arm, posterior, x, changes, joints),
         **provenance("tauext twin", {"draws": draws, "training": [one.name for one in arm.training]}, seed),
     }
     write_json(content, side_file(out))
@@ -66,43 +67,51 @@ def side_file(out: Path) -> Path:
     return out.with_suffix(".twin.json")
 
 
-def write(arm: Arm, out: Path, changes: list[JointChange], note: str) -> None:
-    """Write one robot file, by its ending."""
+def write(arm: Arm, out: Path, changes: list[JointChange], note: str) -> list[str]:
+    """Write one robot file, by its ending; returns the sensors it got."""
     out.parent.mkdir(parents=True, exist_ok=True)
-    if KINDS.get(out.suffix) == "USD":
-        named = [replace(change, joint=name) for change, name in zip(changes, arm.of_out, strict=True)]
-        write_usd(arm.robot, out, arm.setup.tree, named, note, arm.usd)
-    else:
-        write_model(arm.robot, out, changes, note)
+    if KINDS.get(out.suffix) != "USD":
+        return write_model(arm.robot, out, changes, note)
+    named = [replace(change, joint=name) for change, name in zip(changes, arm.of_out, strict=True)]
+    write_usd(arm.robot, out, arm.setup.tree, named, note, arm.usd)
+    return []
 
 
 def changes_of(
-    arm: Arm, values: np.ndarray, errors: np.ndarray, moved: np.ndarray, in_nm: np.ndarray
+    arm: Arm, values: np.ndarray, errors: np.ndarray, moved: np.ndarray, deviations: dict[str, list[float]]
 ) -> list[JointChange]:
-    """What the file gets; a parameter within its error of the file's stays.
+    """What the file gets; a parameter within its error of the file's stays, and a rotor inertia within its error of 0.
+
+    Joints whose torque constant is unknown keep the file's parameters.
 
     Args:
         values, errors: of VALUES, (n, 8).
         moved: links whose inertial parameters change.
-        in_nm: joints whose torque is in N m, (n,): those of others stay.
+        deviations: see noise().
     """
     given, drives = given_of(arm.robot, arm.setup.tree), drives_of(arm)
     found = []
-    for j, change in enumerate(body_change(arm.robot, arm.setup.tree, values, moved & in_nm)):
-        file = np.array([given[j].damping, given[j].frictionloss, given[j].armature])
-        differs = (np.abs(values[j, :3] - file) > DIFFERS * errors[j, :3]) & in_nm[j]
+    for j, change in enumerate(body_change(arm.robot, arm.setup.tree, values, moved & arm.in_nm)):
+        differs = (np.abs(values[j, :3] - given[j, :3]) > DIFFERS * errors[j, :3]) & arm.in_nm[j]
         differs[:2] = differs[:2].any()  # damping and frictionloss stand for one friction
+        differs[2] &= shows(values[j, 2], errors[j, 2])
         damping, loss, armature = (float(v) if d else None for v, d in zip(values[j, :3], differs, strict=True))
         if armature is not None:
-            armature = max(armature - given[j].motors, 0.0)
-        drive = drives[j] if drives else None
-        found.append(replace(change, damping=damping, frictionloss=loss, armature=armature, drive=drive))
+            armature = max(armature - given[j, 3], 0.0)
+        drive, known = drives[j] if drives else None, 3 if arm.in_nm[j] else 2
+        own = tuple(of_joint[j] for of_joint in deviations.values())[:known]
+        found.append(replace(change, damping=damping, frictionloss=loss, armature=armature, drive=drive, noise=own))
     return found
+
+
+def shows(value: float, error: float) -> bool:
+    """Whether a value that cannot be below 0 differs from it."""
+    return value > DIFFERS * error
 
 
 def drives_of(arm: Arm) -> list[Drive]:
     """Position drives of a servo arm, with torque constants as trained; empty without servos."""
-    servo, units = arm.bundle.servo, arm.setup.observer.nm_per_unit or [1.0] * len(arm.names)
+    servo = arm.bundle.servo
     if not servo.on or servo.torque_from.name not in ("goal", "duty"):
         return []
     return [
@@ -113,7 +122,7 @@ def drives_of(arm: Arm) -> list[Drive]:
             ohm=one.ohm,
             nm_per_ampere=unit * one.nm_per_ampere,
         )
-        for one, unit in zip(servo.joints, units, strict=True)
+        for one, unit in zip(servo.joints, arm.units.tolist(), strict=True)
     ]
 
 
@@ -121,7 +130,7 @@ def parameters(arm: Arm, values: np.ndarray, errors: np.ndarray, changes: list[J
     """Each joint's parameters: value, standard error, the file's, and whether the twin's file has the value."""
     given, found = given_of(arm.robot, arm.setup.tree), {}
     for j, (name, link, change) in enumerate(zip(arm.names, arm.setup.tree.links, changes, strict=True)):
-        file = (given[j].damping, given[j].frictionloss, given[j].armature, link.mass, *link.com, 1.0)
+        file = (*given[j, :3], link.mass, *link.com, 1.0)
         found[name] = {
             what: {
                 "value": float(values[j, k]),
@@ -134,65 +143,63 @@ def parameters(arm: Arm, values: np.ndarray, errors: np.ndarray, changes: list[J
     return found
 
 
-def noise(arm: Arm) -> dict[str, Any]:
-    """Standard deviation of each signal's noise, by joint: of third differences, which motion hardly has."""
-    found: dict[str, Any] = {"encoder_count_rad": encoder_count(arm.test)}
-    units = np.array(arm.setup.observer.nm_per_unit or [1.0] * len(arm.names))
-    for signal, scale in (("q", 1.0), ("dq", 1.0), ("tau", units)):
+def noise(arm: Arm) -> dict[str, list[float]]:
+    """Standard deviations of the noise of q [rad], dq [rad/s] and tau [N m], by joint: of third differences, which
+    motion hardly has."""
+    found = {}
+    for signal in ("q", "dq", "tau"):
         thirds = [np.abs(np.diff(getattr(one, signal), 3, axis=0)) for one in arm.test if one.samples > 3]
-        found[signal] = (1.4826 * np.median(np.concatenate(thirds), axis=0) / np.sqrt(20) * scale).tolist()
+        units = arm.units if signal == "tau" else 1.0
+        found[signal] = (1.4826 * np.median(np.concatenate(thirds), axis=0) / np.sqrt(20) * units).tolist()
     return found
 
 
-def changed_model(arm: Arm, changes: list[JointChange]) -> tuple[mujoco.MjModel, list[int], Model]:
-    """MuJoCo's model of the robot file with these changes, its joints in use, and the same as a Model."""
-    model = compiled(arm.robot)
+def changed_model(arm: Arm, changes: list[JointChange]) -> tuple[mujoco.MjModel, Model]:
+    """MuJoCo's model of the robot file with these changes, and the same as a Model."""
+    model, given = compiled(arm.robot), given_of(arm.robot, arm.setup.tree)
     choice = choose_joints(model, [link.joint_name for link in arm.setup.tree.links], {}, str(arm.robot))
-    given = given_of(arm.robot, arm.setup.tree)
     dofs = model.jnt_dofadr[choice.joint_ids]
-    model.dof_frictionloss[dofs] = [one.frictionloss for one in given]
-    damping = [one.damping for one in given]
+    friction = given[:, :2].copy()
     for j, change in enumerate(changes):
-        damping[j] = damping[j] if change.damping is None else change.damping
-        if change.frictionloss is not None:
-            model.dof_frictionloss[dofs[j]] = change.frictionloss
+        both = zip(given[j], (change.damping, change.frictionloss), strict=False)
+        friction[j] = [file if new is None else new for file, new in both]
         if change.armature is not None:
             model.dof_armature[dofs[j]] = change.armature
         if (new := change.inertial) is not None:
             body = model.body(new.body).id
             model.body_mass[body], model.body_ipos[body] = new.mass, new.com
             model.body_inertia[body], model.body_iquat[body] = new.inertia, new.axes
-    model.dof_damping[dofs] = np.reshape(
-        damping, model.dof_damping[dofs].shape[:1] + (1,) * (model.dof_damping.ndim - 1)
-    )
+    damping, loss = friction.T
+    model.dof_frictionloss[dofs] = loss
+    model.dof_damping[dofs] = damping.reshape(-1, *[1] * (model.dof_damping.ndim - 1))
     tree = make_tree(model, choice.joint_ids, choice.qpos, arm.setup.tree.gravity, str(arm.robot))
-    return model, choice.joint_ids, Model(tree, np.array(damping), model.dof_frictionloss[dofs].copy())
+    return model, Model(tree, damping, loss)
 
 
 def judged(
-    arm: Arm, posterior: Posterior, x: np.ndarray, changes: list[JointChange], in_nm: np.ndarray
+    arm: Arm, posterior: Posterior, x: np.ndarray, changes: list[JointChange], joints: dict[str, Any]
 ) -> dict[str, Any]:
     """Held-out torque and rollouts of the file as it came and of the twin, and what no simulator's joint holds."""
-    came, twin = changed_model(arm, []), changed_model(arm, changes)
-    speed = min(term.speed for of in posterior.terms for term in of if term.kind == _core.TermKind.coulomb)
-    errors, rms = torque_errors(arm, [came[2], twin[2]], speed)
-    beside = unheld(arm, posterior, x, twin[2], speed)
+    (came, came_model), (twin, twin_model) = changed_model(arm, []), changed_model(arm, changes)
+    errors, rms = torque_errors(arm, [came_model, twin_model])
+    beside = unheld(arm, posterior, x, twin_model)
     drives = drives_of(arm) if all(one.q_des is not None for one in arm.test) else []
-    rolled = [rollout_errors(arm, model, joints, drives or None) for model, joints, _ in (came, twin)]
+    rolled = [rollout_errors(arm, model, drives) for model in (came, twin)]
     by_joint: dict[str, dict[str, Any]] = {
         name: {
-            "unit": "N m" if in_nm[j] else "recorded unit",
+            "unit": "N m" if arm.in_nm[j] else "recorded unit",
             "rms": float(rms[j]),
             "rmse_file": float(errors[0, j]),
             "rmse_twin": float(errors[1, j]),
+            "lag_s": float(posterior.lag_s[j]),
             "not_held": {what: float(share[j]) for what, share in beside.items()},
         }
         for j, name in enumerate(arm.names)
     }
     return {
         "torque": by_joint,
-        "warnings": warnings_of(by_joint),
-        "curves": curves(arm, [came[2], twin[2]], speed),
+        "warnings": warnings_of(by_joint, joints),
+        "curves": curves(arm, {"file": came_model, "twin": twin_model}),
         "rollout": {
             "replayed": "goals" if drives else "torques",
             "rms_end_rad": {
@@ -203,15 +210,22 @@ def judged(
     }
 
 
-def warnings_of(by_joint: dict[str, dict[str, Any]]) -> list[str]:
-    """Sentences about joints that a twin does not serve: friction that no constant holds, and torques that it explains
-    worse than the file as it came."""
+def warnings_of(by_joint: dict[str, dict[str, Any]], joints: dict[str, Any]) -> list[str]:
+    """Sentences about joints that a twin does not serve: friction that no constant holds, torques that it explains
+    worse than the file as it came, and rotor inertias that do not show."""
+    rotors = {name: one["armature"] for name, one in joints.items()}
+    unseen = [name for name, one in rotors.items() if not shows(one["value"], one["standard_error"])]
     worse = [
         f"{name}: the twin's error of {one['rmse_twin']:.3g} {one['unit']} exceeds that of the file as it came, "
         f"{one['rmse_file']:.3g}; record more motion of this joint"
         for name, one in by_joint.items()
         if one["rmse_twin"] > one["rmse_file"]
     ]
+    if unseen:
+        worse.append(
+            f"{', '.join(unseen)}: the motion does not show the rotor inertia, so the file's stays; a torque that "
+            "lags behind the motion, or is measured behind the gear, hides it"
+        )
     return worse + [
         f"{name}: {what} explains {share:.0%} of the twin's squared error, so that a constant friction misleads"
         for name, one in by_joint.items()

@@ -140,8 +140,10 @@ def test_the_twin_explains_torques_and_positions_that_it_is_not_made_of(made):
     assert not content["warnings"]  # this arm's friction is viscous and Coulomb
     held = {"load share": 0.3, "Stribeck": 0.9}
     odd = {"j": {"unit": "N m", "rmse_file": 1.0, "rmse_twin": 1.5, "not_held": held}}
-    worse, misleads = warnings_of(odd)
-    assert "exceeds that of the file" in worse and "load share explains 30%" in misleads
+    joints = {"j": {"armature": {"value": 0.0, "standard_error": 0.1}}}
+    worse, unseen, misleads = warnings_of(odd, joints)
+    assert "exceeds that of the file" in worse and "j: the motion does not show the rotor inertia" in unseen
+    assert "load share explains 30%" in misleads
     page = (made[0] / "own/twin.html").read_text()
     assert "j3" in page and "armature" in page
 
@@ -174,7 +176,7 @@ def test_an_mjcf_keeps_comments_and_takes_in_its_includes(tmp_path):
     assert (model.dof_frictionloss[0], model.dof_armature[0], model.body_mass[1]) == (1.5, 0.25, 2.0)
     np.testing.assert_allclose(model.body_ipos[1], (0, 0, 0.1))
     (given,) = given_of(tmp_path / "out.xml", load_tree(tmp_path / "out.xml"))
-    assert (given.damping, given.frictionloss, given.armature) == (0.5, 1.5, 0.25)
+    assert given.tolist() == [0.5, 1.5, 0.25, 0.0]
 
 
 def test_usd_is_read_back(made):
@@ -249,15 +251,15 @@ def test_link_basis_is_the_derivative_of_the_parameters(made):
 def test_friction_that_a_simulator_can_hold_is_itself_and_no_value_is_negative(made):
     folder, _ = made
     arm = read_arm(folder / "bundle.tauext", folder / "arm.urdf", None, {})
-    posterior = find_posterior(arm.setup, arm.training, arm.terms, arm.setup.prior.corrected_links, arm.torque_error)
+    posterior = find_posterior(arm)
     x = np.zeros(len(posterior.mean))
     for viscous, coulomb in posterior.sliding:
         x[viscous], x[coulomb] = -0.7, -2.0
     np.testing.assert_allclose(posterior.friction(x), np.tile([0.7, 2.0], (3, 1)), rtol=1e-6)
     assert (posterior.friction(-x) == 0).all() and (posterior.values(-10 * posterior.mean)[:, :4] >= 0).all()
-    exact, joints, _ = changed_model(arm, [JointChange(f"j{k + 1}", 0.0, 0.0, rotor) for k, rotor in enumerate(ROTORS)])
+    exact, _ = changed_model(arm, [JointChange(f"j{k + 1}", 0.0, 0.0, rotor) for k, rotor in enumerate(ROTORS)])
     strong = [replace(one, tau=one.tau * 1e9) for one in arm.test]
-    assert not np.isfinite(rollout_errors(replace(arm, test=strong), exact, joints, None)[5.0]).any()
+    assert not np.isfinite(rollout_errors(replace(arm, test=strong), exact, None)[5.0]).any()
 
 
 @pytest.mark.parametrize(

@@ -56,5 +56,5 @@ def twin(
     print_replaced(out, side_file(out), out.with_suffix(".html"))
     arm = read_arm(bundle, robot, data, {recorded: of_file for recorded, _, of_file in pairs})
     content = make_twin(arm, out, draws, seed, Terminal())
-    write_page(content, out.with_suffix(".html"))
+    write_page(content, arm, out.with_suffix(".html"))
     print(json_text(content) if as_json else "\n".join([*table(content), *content["warnings"], str(out)]))

@@ -11,7 +11,6 @@ from scipy.stats import chi2
 
 from tauext import _core
 from tauext.check.joint_fit import delayed
-from tauext.data.recording import Recording
 from tauext.fit.regression import NormalEquations, solve_within
 from tauext.fit.ridge import Regressors, gather
 from tauext.fit.training_set import with_presliding
@@ -238,7 +237,7 @@ class Posterior:
 
         return np.array([drawn() for _ in range(count)]).reshape(count, self.tree.size, len(VALUES))
 
-    def standard_errors(self, seed: int, count: int = 400) -> np.ndarray:
+    def standard_errors(self, seed: int, count: int = 2000) -> np.ndarray:
         """Of VALUES, (n, 8): the spread of draws without bounds, at which it would be 0."""
         return np.asarray(self.draws(count, seed, bounded=False).std(axis=0))
 
@@ -309,16 +308,6 @@ def reduced(equations: NormalEquations, basis: np.ndarray, width: int, in_nm: np
     return NormalEquations(tuple(columns), grams, moments, equations.energy, equations.rows)
 
 
-def largest_inertia(tree: _core.Tree, recordings: Sequence[Recording]) -> float:
-    """The largest inertia about any joint at the recordings' first poses, [kg m^2]."""
-    q, largest = np.array([recording.q[0] for recording in recordings]), 1e-3
-    for j in range(tree.size):
-        dq = np.zeros_like(q)
-        dq[:, j] = 1.0
-        largest = max(largest, float(tree.momentum(q, dq)[0][:, j].max()))
-    return largest
-
-
 def _precision(arm: Arm, whole: NormalEquations, expected: Expected) -> np.ndarray:
     """Inverse variances of all unknowns before any motion, (columns,); a friction term may be as large as all of r."""
     tree, terms = arm.setup.tree, arm.terms
@@ -336,8 +325,9 @@ def _precision(arm: Arm, whole: NormalEquations, expected: Expected) -> np.ndarr
     shift = expected.com_m * (masses + 0.05 * masses.mean())
     mass[-1] += expected.tool_share * masses.sum()
     shift[-1] += expected.tool_m * mass[-1]
-    inertia = np.full(tree.size, expected.inertia_share)
-    rotor = np.full(tree.size, expected.rotor_share * largest_inertia(tree, arm.training))
+    inertia, q = np.full(tree.size, expected.inertia_share), np.array([one.q[0] for one in arm.training])
+    about = [tree.momentum(q, np.tile(one, (len(q), 1)))[0][:, j] for j, one in enumerate(np.eye(tree.size))]
+    rotor = np.full(tree.size, expected.rotor_share * max(float(np.max(about)), 1e-3))
     variance[width:] = np.column_stack([mass, shift, shift, shift, inertia, rotor]).ravel() ** 2
     return 1 / np.maximum(variance, 1e-18)
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tauext import _core
 from tauext.errors import RobotError
@@ -89,7 +90,7 @@ def _set_joint(prim: Any, physics: Any, change: JointChange, hinge: bool) -> Non
 def _set_mass(mass: Any, new: Inertial) -> None:
     from pxr import Gf
 
-    mass.CreateMassAttr(float(new.mass))
+    mass.CreateMassAttr(new.mass)
     mass.CreateCenterOfMassAttr(Gf.Vec3f(*new.com))
     mass.CreateDiagonalInertiaAttr(Gf.Vec3f(*new.inertia))
     mass.CreatePrincipalAxesAttr(Gf.Quatf(*new.axes))
@@ -109,24 +110,18 @@ def _fill(stage: Any, physics: Any, robot: Path, tree: _core.Tree, changes: Sequ
     mujoco.mj_kinematics(model, data)
     of_body = {change.inertial.body: change.inertial for change in changes if change.inertial is not None}
 
-    def quaternion(q: Sequence[float] | np.ndarray) -> Any:
-        return Gf.Quatf(*(float(x) for x in q))
-
-    def vector(x: Sequence[float] | np.ndarray) -> Any:
-        return Gf.Vec3f(*(float(one) for one in x))
-
     paths = {}
     for body in [0, *(one.number for one in placed)]:
         name = model.body(body).name or f"body{body}"
         prim = UsdGeom.Xform.Define(stage, root.GetPath().AppendChild(Tf.MakeValidIdentifier(name)))
         paths[body] = prim.GetPath()
         prim.AddTranslateOp().Set(Gf.Vec3d(*data.xpos[body].tolist()))
-        prim.AddOrientOp().Set(quaternion(data.xquat[body]))
+        prim.AddOrientOp().Set(Gf.Quatf(*data.xquat[body].tolist()))
         if body == 0:
             continue
         physics.RigidBodyAPI.Apply(prim.GetPrim())
         arrays = (model.body_ipos[body], model.body_inertia[body], model.body_iquat[body])
-        given = Inertial(name, float(model.body_mass[body]), *(tuple(map(float, one)) for one in arrays))
+        given = Inertial(name, float(model.body_mass[body]), *(tuple(one.tolist()) for one in arrays))
         _set_mass(physics.MassAPI.Apply(prim.GetPrim()), of_body.get(name, given))
     for j, (joint, change) in enumerate(zip(joints, changes, strict=True)):
         body, hinge = int(model.jnt_bodyid[joint]), tree.links[j].type == _core.JointType.revolute
@@ -138,18 +133,18 @@ def _fill(stage: Any, physics: Any, robot: Path, tree: _core.Tree, changes: Sequ
             parent = int(model.body_parentid[parent])
         made.CreateBody0Rel().SetTargets([paths[parent]])
         made.CreateBody1Rel().SetTargets([paths[body]])
+        made.CreateAxisAttr("Z")
         turn = np.empty(4)
         mujoco.mju_quatZ2Vec(turn, model.jnt_axis[joint])  # the joint's axis is the z of its frames
-        made.CreateAxisAttr("Z")
-        world, inverse, local = np.empty(4), np.empty(4), np.empty(4)
-        mujoco.mju_mulQuat(world, data.xquat[body], turn)
-        mujoco.mju_negQuat(inverse, data.xquat[parent])
-        mujoco.mju_mulQuat(local, inverse, world)
-        anchor = data.xmat[parent].reshape(3, 3).T @ (data.xanchor[joint] - data.xpos[parent])
-        made.CreateLocalPos0Attr(vector(anchor))
-        made.CreateLocalRot0Attr(quaternion(local))
-        made.CreateLocalPos1Attr(vector(model.jnt_pos[joint]))
-        made.CreateLocalRot1Attr(quaternion(turn))
+        above, own, along = (
+            Rotation.from_quat(q, scalar_first=True) for q in (data.xquat[parent], data.xquat[body], turn)
+        )
+        anchor = above.inv().apply(data.xanchor[joint] - data.xpos[parent])
+        local = (above.inv() * own * along).as_quat(scalar_first=True)
+        made.CreateLocalPos0Attr(Gf.Vec3f(*anchor.tolist()))
+        made.CreateLocalRot0Attr(Gf.Quatf(*local.tolist()))
+        made.CreateLocalPos1Attr(Gf.Vec3f(*model.jnt_pos[joint].tolist()))
+        made.CreateLocalRot1Attr(Gf.Quatf(*turn.tolist()))
         if model.jnt_limited[joint]:
             low, high = model.jnt_range[joint] / (DEGREE if hinge else 1.0)
             made.CreateLowerLimitAttr(float(low))

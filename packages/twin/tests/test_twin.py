@@ -10,16 +10,18 @@ import numpy as np
 import pinocchio
 import pytest
 from made_recordings import Drive, made_motion
-from tauext_twin.arm import read_arm
+from tauext_twin.arm import read_arm, smooth
 from tauext_twin.held_out import rollout_errors
 from tauext_twin.model_file import Inertial, JointChange, given_of, write_model
 from tauext_twin.posterior import OF_LINK, find_posterior, link_basis
 from tauext_twin.twin import changed_model, warnings_of
 
 from tauext import _core
+from tauext.check.joint_fit import delayed
 from tauext.cli import main
 from tauext.config import TrainConfig
 from tauext.data.dataset import Split, load_dataset, save_split
+from tauext.data.free_motion import cut
 from tauext.data.recording_file import save_recording
 from tauext.robot.inertial import inertial_parameters
 from tauext.robot.read import load_tree
@@ -145,7 +147,7 @@ def test_the_twin_explains_torques_and_positions_that_it_is_not_made_of(made):
     assert "exceeds that of the file" in worse and "j: the motion does not show the rotor inertia" in unseen
     assert "load share explains 30%" in misleads
     page = (made[0] / "own/twin.html").read_text()
-    assert "j3" in page and "armature" in page
+    assert "j3" in page and "armature" in page and page.count("data:image/png;base64,iVBOR") == 2
 
 
 def test_files_keep_the_users_text_and_other_programs_read_the_values(made):
@@ -159,6 +161,9 @@ def test_files_keep_the_users_text_and_other_programs_read_the_values(made):
     assert pin.inertias[3].mass == pytest.approx(joints["j3"]["mass"]["value"], rel=1e-5)
     twin(folder, "own/twin.xml")
     model = mujoco.MjModel.from_xml_path(str(folder / "own/twin.xml"))
+    noise = twin(folder, "own/twin.xml")["noise"]
+    assert model.sensor("twin_jointvel_j2").id >= 0 and model.nsensor == 9
+    assert model.sensor_noise == pytest.approx(np.ravel([noise[of] for of in ("q", "dq", "tau")], order="F"), rel=1e-5)
     assert model.dof_armature == pytest.approx([one["armature"]["value"] for one in joints.values()], rel=1e-5)
     assert model.dof_frictionloss == pytest.approx([one["frictionloss"]["value"] for one in joints.values()], rel=1e-5)
 
@@ -167,13 +172,20 @@ def test_an_mjcf_keeps_comments_and_takes_in_its_includes(tmp_path):
     (tmp_path / "part.xml").write_text(
         "<x><!-- part --><body name='b'><joint name='j' axis='0 0 1'/><geom size='.1'/></body></x>"
     )
-    (tmp_path / "arm.xml").write_text("<!-- head --><mujoco><worldbody><include file='part.xml'/></worldbody></mujoco>")
-    change = JointChange("j", 0.5, 1.5, 0.25, Inertial("b", 2.0, (0.0, 0.0, 0.1), (0.01, 0.02, 0.02), (1.0, 0, 0, 0)))
-    write_model(tmp_path / "arm.xml", tmp_path / "out.xml", [change], "a -- note")
+    (tmp_path / "arm.xml").write_text(
+        "<!-- head --><mujoco><worldbody><include file='part.xml'/></worldbody>"
+        "<sensor><jointvel name='own' joint='j' noise='7'/></sensor></mujoco>"
+    )
+    body = Inertial("b", 2.0, (0.0, 0.0, 0.1), (0.01, 0.02, 0.02), (1.0, 0, 0, 0))
+    change = JointChange("j", 0.5, 1.5, 0.25, body, noise=(0.01, 0.02, 0.03))
+    added = write_model(tmp_path / "arm.xml", tmp_path / "out.xml", [change], "a -- note")
     text = (tmp_path / "out.xml").read_text()
     assert "<!-- head -->" in text and "<!-- part -->" in text and "include" not in text
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "out.xml"))
     assert (model.dof_frictionloss[0], model.dof_armature[0], model.body_mass[1]) == (1.5, 0.25, 2.0)
+    assert added == ["twin_jointpos_j", "twin_jointactuatorfrc_j"]  # behind the file's own sensor, which stays
+    assert [model.sensor(k).name for k in range(model.nsensor)] == ["own", *added]
+    assert model.sensor_noise.tolist() == [7, 0.01, 0.03]
     np.testing.assert_allclose(model.body_ipos[1], (0, 0, 0.1))
     (given,) = given_of(tmp_path / "out.xml", load_tree(tmp_path / "out.xml"))
     assert given.tolist() == [0.5, 1.5, 0.25, 0.0]
@@ -226,6 +238,28 @@ def test_draws_spread_as_the_errors_state_and_repeat_with_their_seed(made):
     (folder / "draws/twin-003.xml").unlink()
     twin(folder, "draws/twin.xml", "--draws", "8", "--seed", "3")
     assert (folder / "draws/twin-003.xml").read_bytes() == before
+
+
+def test_a_torque_that_lags_is_found_and_widens_the_error_of_rotor_inertias(made):
+    arm = read_arm(made[0] / "bundle.tauext", made[0] / "arm.urdf", None, {})
+    late = [replace(one, tau=delayed(one.tau, -0.01, one.rate_hz)) for one in arm.training]
+    before, after = find_posterior(arm), find_posterior(replace(arm, training=late))
+    np.testing.assert_allclose(before.lag_s, 0.0, atol=1e-3)
+    np.testing.assert_allclose(after.lag_s, 0.01, atol=2e-3)
+    # A lag of d hides d times the damping, 3.5 N m s/rad at joint 2.
+    apart = np.abs(after.values(after.mean) - before.values(before.mean))[:, 2]
+    assert apart[1] > 0.02 and (apart < 2 * after.standard_errors(0)[:, 2]).all()
+
+
+def test_motion_is_smoothed_on_each_side_of_a_gap_by_itself(made):
+    one = load_dataset(made[0] / "data").training()[0]
+    half = one.samples // 2
+    t_ns = one.t_ns + np.where(np.arange(one.samples) < half, 0, 3600 * 10**11)  # a hundred hours
+    gap, parts = smooth(replace(one, t_ns=t_ns)), [cut(one, slice(0, half)), cut(one, slice(half, None))]
+    for what in ("q", "dq"):
+        alone = np.concatenate([getattr(smooth(part), what) for part in parts])
+        np.testing.assert_allclose(getattr(gap, what), alone, atol=1e-12)
+    assert gap.t_ns == pytest.approx(t_ns, abs=1e6) and np.abs(gap.dq - one.dq).max() < 0.1
 
 
 def test_link_basis_is_the_derivative_of_the_parameters(made):

@@ -80,7 +80,9 @@ class Posterior:
     """What A^-1 encloses in C."""
     arm: Arm
     lag_s: np.ndarray
-    """By which each joint's torque lags behind its motion, where its error is least, (n,), [s]."""
+    """By which each joint's torque lags behind its motion, where its error is least, (n,), [s], ..."""
+    hidden_by_lag: np.ndarray
+    """... and by how much its rotor inertia seems smaller for that, (n,), [kg m^2]."""
 
     @property
     def tree(self) -> _core.Tree:
@@ -98,13 +100,14 @@ class Posterior:
 
     @cached_property
     def hidden(self) -> np.ndarray:
-        """Standard error of rotor inertias beside `covariance`, (n,), [kg m^2].
+        """Standard error of rotor inertias beside `covariance`, (n,), [kg m^2]: what a lag of the torque hides, and as
+        no rotor inertia is below 0, by how much it would be."""
+        return np.hypot(self.hidden_by_lag, np.minimum(self.free_rotors, 0.0))
 
-        A torque that lags by d behind the motion hides d times the damping; and no rotor inertia is below 0: by how
-        much it would be, the torque misleads.
-        """
-        below = np.minimum(self.rotors(np.linalg.solve(self.A, self.b)), 0.0)
-        return np.hypot(below, self.friction(self.mean)[:, 0] * self.lag_s)
+    @property
+    def free_rotors(self) -> np.ndarray:
+        """Rotor inertia of each joint without bounds, (n,), [kg m^2]."""
+        return self.rotors(np.linalg.solve(self.A, self.b))
 
     @cached_property
     def covariance(self) -> np.ndarray:
@@ -197,7 +200,7 @@ class Posterior:
         return x[-len(OF_LINK) * self.tree.size :].reshape(self.tree.size, -1)
 
     def rotors(self, x: np.ndarray) -> np.ndarray:
-        """Rotor inertia of each joint, without bounds, (n,), [kg m^2]."""
+        """Rotor inertia of each joint, (n,), [kg m^2]."""
         return np.array([link.rotor_inertia for link in self.tree.links]) + self.theta(x)[:, 5]
 
     def values(self, x: np.ndarray, bounded: bool = True) -> np.ndarray:
@@ -249,10 +252,12 @@ def find_posterior(arm: Arm, expected: Expected = Expected()) -> Posterior:
         TrainingError: no recording is longer than the observer's warm-up.
     """
     found = _found(arm, 0.0, expected)
-    early, late = (_found(arm, lag_s, expected).errors for lag_s in (-expected.lag_s, expected.lag_s))
-    bend = np.maximum(early - 2 * found.errors + late, 1e-9 * found.errors)  # of a parabola through all three
-    lag_s = expected.lag_s * (early - late) / (2 * bend)
-    return replace(found, lag_s=np.clip(lag_s, -expected.most_lag_s, expected.most_lag_s))
+    early, late = (_found(arm, lag_s, expected) for lag_s in (-expected.lag_s, expected.lag_s))
+    bend = early.errors - 2 * found.errors + late.errors  # of a parabola through all three
+    lags = (early.errors - late.errors) / (2 * np.maximum(bend, 1e-9 * found.errors))
+    lags = np.clip(lags, -expected.most_lag_s / expected.lag_s, expected.most_lag_s / expected.lag_s)
+    hidden = lags * (late.free_rotors - early.free_rotors) / 2
+    return replace(found, lag_s=lags * expected.lag_s, hidden_by_lag=hidden)
 
 
 def _found(arm: Arm, lag_s: float, expected: Expected) -> Posterior:
@@ -342,7 +347,7 @@ def _weighted(
         for at, gram, moment, one in zip(whole.columns, whole.gram, whole.moment, weight, strict=True):
             A[np.ix_(at, at)] += one * gram
             b[at] += one * moment
-        found = Posterior(whole, A, b, np.diag(precision), arm, np.zeros(len(weight)))
+        found = Posterior(whole, A, b, np.diag(precision), arm, *np.zeros((2, len(weight))))
         if k == rounds - 1:
             break
         errors = np.maximum(found.errors, 1e-12 * whole.energy / whole.rows)

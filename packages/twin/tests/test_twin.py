@@ -98,20 +98,8 @@ def made(tmp_path_factory):
 
 @cache
 def twin(folder: Path, out: str, *more: str) -> dict:
-    assert (
-        main(
-            [
-                "twin",
-                str(folder / "bundle.tauext"),
-                "--robot",
-                str(folder / "arm.urdf"),
-                "--out",
-                str(folder / out),
-                *more,
-            ]
-        )
-        == 0
-    )
+    command = ["twin", str(folder / "bundle.tauext"), "--robot", str(folder / "arm.urdf"), "--out", str(folder / out)]
+    assert main([*command, *more]) == 0
     return json.loads((folder / out).with_suffix(".twin.json").read_text())
 
 

@@ -1,6 +1,6 @@
 """Do a twin's intervals hold the truth? Friction, rotor inertia and masses of simulated arms, whose truth is known.
 
-    python packages/twin/benchmarks/coverage.py MODELS OUT [--arms ur5 ...] [--seeds 0 1]
+    python packages/twin/benchmarks/coverage.py MODELS OUT [--arms ur5 ...] [--seeds 0 1] [--lag-ms 15]
 
 Each arm, drawn by its seed, is recorded for twelve minutes as an integrator would, and trained by recipe prior.
 The true friction is what the simulation applied, projected on viscous and Coulomb friction as a twin's is: least
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from unseen.recordings import TAKES, make_dataset
 from unseen.simulation import RATE_HZ, draw_contacts, draw_motion, simulate
 
 from tauext import _core
+from tauext.check.joint_fit import delayed
 from tauext.robot.model_case import empty
 from tauext.robot.read import load_tree
 
@@ -39,22 +41,25 @@ ARMS = ("ur5", "kinova", "seven_axis", "panda", "palletizer", "offset_wrist", "l
 def main() -> None:
     parser = arguments(__doc__, "models", "out", arms=ARMS)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0], help="draw the arms, default: 0")
+    parser.add_argument("--lag-ms", type=int, default=0, help="by which torques lag behind the motion, default: 0")
     options = parser.parse_args()
+    name_of = f"coverage-{options.lag_ms}-ms" if options.lag_ms else "coverage"
     known = makers(options.models) | fresh_makers()
     found = []
     for seed in options.seeds:
         for name in options.arms:
-            file = options.out / f"{name}-{seed}" / "coverage.json"
-            found.append(checkpoint(file, lambda: judged(known[name], seed, file.parent)))  # noqa: B023
-    save_json(found, options.out / "coverage.json")
+            file = options.out / f"{name}-{seed}" / f"{name_of}.json"
+            found.append(checkpoint(file, lambda: judged(known[name], seed, file.parent, options.lag_ms)))  # noqa: B023
+    save_json(found, options.out / f"{name_of}.json")
     write_tables(options.out, table(found))
 
 
-def judged(maker: Maker, seed: int, folder: Path) -> dict[str, Any]:
+def judged(maker: Maker, seed: int, folder: Path, lag_ms: int) -> dict[str, Any]:
     """Each parameter of an arm: value, standard error, truth."""
     data = make_dataset(maker, seed, folder, USED)
     arm = read_arm(trained(data, folder / "prior.tauext"), maker.model, data, {})
-    posterior = find_posterior(arm)
+    late = [replace(one, tau=delayed(one.tau, -1e-3 * lag_ms, one.rate_hz)) for one in arm.training]
+    posterior = find_posterior(replace(arm, training=late))
     values, errors = posterior.values(posterior.mean), posterior.standard_errors(seed)
     true, truth = arm_of(maker, seed), np.full(values.shape, np.nan)
     truth[:, :2] = true_friction(maker, seed, arm)

@@ -138,10 +138,11 @@ def write_model(robot: Path, out: Path, changes: Sequence[JointChange], note: st
         RobotError: of another kind than can be written from this one; no such joint or body; an unreadable file.
     """
     kinds, sensors = expect_kinds(robot, out), []
-    document = _converted(robot) if kinds == ("URDF", "MJCF") else _expanded(robot)
     if kinds[1] == "URDF":
+        document = _document(robot)
         _change_urdf(document, robot, out, changes)
     else:
+        document = _expanded(robot) if kinds[0] == "MJCF" else _converted(robot)
         _change_mjcf(document, robot, out, changes)
         sensors = _add_sensors(document, changes)
     document.insertBefore(document.createComment(f" {note.replace('--', '- -')} "), document.documentElement)

@@ -38,8 +38,9 @@ def make_twin(arm: Arm, out: Path, draws: int, seed: int, report: Reporter) -> d
     x = posterior.off_the_file()
     values, errors = posterior.values(x), posterior.standard_errors(seed)
     moved: np.ndarray = np.any(posterior.theta(x)[:, : len(OF_LINK) - 1] != 0, axis=1)
-    deviations = noise(arm)
-    changes = changes_of(arm, values, errors, moved, deviations)
+    deviations, sampling = noise(arm), errors.copy()  # what a lag hides makes no file's rotor inertia better
+    sampling[:, 2] = np.sqrt(np.maximum(errors[:, 2] ** 2 - posterior.hidden**2, 0.0))
+    changes = changes_of(arm, values, sampling, moved, deviations)
     note = f"made by tauext twin {_core.__version__} from {arm.given.name}; errors are in {side_file(out).name}"
     sensors = write(arm, out, changes, note)
     for k, drawn in enumerate(posterior.draws(draws, seed + 1)):
@@ -223,8 +224,8 @@ def warnings_of(by_joint: dict[str, dict[str, Any]], joints: dict[str, Any]) -> 
     ]
     if unseen:
         worse.append(
-            f"{', '.join(unseen)}: the motion does not show the rotor inertia, so the file's stays; a torque that "
-            "lags behind the motion, or is measured behind the gear, hides it"
+            f"{', '.join(unseen)}: the motion does not show the rotor inertia, which is within two standard errors of "
+            "0; a torque that lags behind the motion, or is measured behind the gear, hides it"
         )
     return worse + [
         f"{name}: {what} explains {share:.0%} of the twin's squared error, so that a constant friction misleads"

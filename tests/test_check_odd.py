@@ -19,6 +19,7 @@ from tauext.check.examine import examine
 from tauext.check.finding import Finding
 from tauext.check.joint_fit import COULOMB_SPEEDS_RAD_S, PRESLIDING_RAD, FitRows, fit_joint, presliding, rows_of
 from tauext.check.motion import stretches
+from tauext.check.odd_motion import motion_of
 from tauext.check.robot_file import with_load
 from tauext.check.torque_changes import growth_findings, often_disturbed, step_findings
 from tauext.data.free_motion import cut
@@ -164,6 +165,17 @@ def test_a_recording_whose_torque_comes_late_is_named_in_ms(longer, late_s):
     assert abs(told_ms - 1e3 * late_s) < 0.2 * 1e3 * abs(late_s)  # the fit is by the torque's slope alone
 
 
+def test_a_short_recording_that_begins_in_motion_has_its_true_velocity_delay(arm):
+    """Four seconds of dq = 0.1 + 0.08 sin(t + phase) with encoder noise; the recorded velocity comes 8 ms late."""
+    _, _, good = arm
+    one, phase, rng = cut(good[ODD], slice(0, 1000)), np.arange(6.0), np.random.default_rng(1)
+    one = replace(one, t_ns=np.arange(1000) * 4_000_000, rate_hz=250.0)
+    angle = one.time_s[:, None] + phase
+    q = 0.1 * angle - 0.08 * np.cos(angle) + 1e-4 * rng.standard_normal((1000, 6))
+    one = replace(one, q=q, dq=0.1 + 0.08 * np.sin(angle - 0.008))
+    assert np.abs(motion_of(one, stretches([one])).lag_s - 0.008).max() < 5e-3  # `odd_motions` reports 15 ms
+
+
 def test_a_zero_that_is_a_little_off_is_named(longer):
     """Less than what doubles the error."""
     path, _, good = longer
@@ -280,3 +292,16 @@ def test_a_few_moves_between_rests_show_no_growth_without_a_model(longer, moves,
     x.rows = moves_between_rests(moves, growth_a_s, seed=5)
     x.fits = [fit_joint(x.rows, j) for j in (0, 1)]
     assert [x.joints.index(one.joint) for one in growth_findings(x)] == grown
+
+
+@pytest.mark.parametrize(("sign", "is_odd"), [(1.0, False), (-1.0, True)])
+def test_what_friction_holds_at_rest_makes_no_recording_odd(sign, is_odd):
+    """An arm stands for 72 % of the time; in the rests of one recording friction holds 1 N m more of gravity.
+    Compared at rest, too, its score was 3.4. A negated torque shows where the arm moves."""
+    rows = moves_between_rests(60, 0.0, seed=5)
+    part, rests = (rows.time_s // 150.0).astype(int), np.abs(rows.dq).max(axis=1) < 0.02
+    tau = (rows.tau + ((part == ODD) & rests)[:, None]) * np.where(part == ODD, sign, 1.0)[:, None]
+    parts = {k: replace(rows, tau=tau).taken(part == k) for k in range(4)}
+    _, pool = odd_torque._consensus(parts)
+    scores = {k: pool.score(pool.errors(one), pool.usual_nm) for k, one in parts.items()}
+    assert [k for k, score in scores.items() if score > odd_torque.SUSPECT] == [ODD] * is_odd

@@ -49,11 +49,14 @@ class FitRows:
     def model(self) -> np.ndarray:
         return self.gravity + self.inertial
 
+    def least_speeds(self) -> np.ndarray:
+        """(joints,) speed from which a joint moves, [rad/s]."""
+        return np.minimum(MOVING_RAD_S, 0.02 * np.abs(self.dq).max(axis=0))
+
     def judged(self, joint: int) -> np.ndarray:
         """(rows,) bool: rows in which the joint moves, if it rests in at least half of them; else all rows. In a rest,
         friction holds an unknown part of gravity."""
-        speed = np.abs(self.dq[:, joint])
-        moves = speed > min(MOVING_RAD_S, 0.02 * float(speed.max()))
+        moves = np.abs(self.dq[:, joint]) > self.least_speeds()[joint]
         return moves if LEAST_MOVING <= moves.sum() < 0.5 * len(moves) else np.ones_like(moves)
 
     def columns(self, joint: int) -> np.ndarray:

@@ -55,10 +55,14 @@ class RowFilter:
     def filtered(self, x: np.ndarray, rate_hz: float) -> np.ndarray:
         return low_pass(x, min(self.cutoff_hz, rate_hz / 6), rate_hz)
 
+    def inner(self, x: np.ndarray, rate_hz: float) -> np.ndarray:
+        """x without both ends."""
+        end = int(self.end_s * rate_hz)
+        return x[end : len(x) - end]
+
     def picked(self, x: np.ndarray, rate_hz: float) -> np.ndarray:
         """A copy of the rows."""
-        end = int(self.end_s * rate_hz)
-        return x[end : len(x) - end : max(1, round(rate_hz / self.rows_hz))].copy(order="K")
+        return self.inner(x, rate_hz)[:: max(1, round(rate_hz / self.rows_hz))].copy(order="K")
 
     def rows(self, x: np.ndarray, rate_hz: float) -> np.ndarray:
         return self.picked(self.filtered(x, rate_hz), rate_hz)

@@ -53,18 +53,23 @@ class Motion:
 def motion_of(recording: Recording, stretches: Sequence[Stretch]) -> Motion:
     """`stretches`: of this recording, at least one."""
     low, high = np.percentile(recording.q, [0.1, 99.9], axis=0)
-    dq = np.concatenate([s.dq for s in stretches])
-    products = np.zeros((5, len(recording.joints)))
+    products, rows = np.zeros((6, len(recording.joints))), 0
     for s in stretches:
         true, recorded = FIT.filtered(s.dq, s.rate_hz), FIT.filtered(s.dq_raw, s.rate_hz)
-        slope = np.gradient(true, 1 / s.rate_hz, axis=0)
-        pairs = ((true, true), (true, recorded), (recorded, recorded), (true - recorded, slope), (slope, slope))
+        signals = (true, recorded, np.gradient(true, 1 / s.rate_hz, axis=0))
+        # the filters' transients at both ends would be a lag of 30 ms in a recording of four seconds
+        true, recorded, slope = (FIT.inner(x, s.rate_hz) for x in signals)
+        pairs = ((true, true), (true, recorded), (recorded, recorded), (true, slope), (recorded, slope), (slope, slope))
         products += [(a * b).sum(axis=0) for a, b in pairs]
-    moves = products[0] > LEAST_SPEED_RAD_S**2 * len(dq)
+        rows += len(true)
+    tt, tr, rr, ts, rs, ss = products
+    moves = tt > LEAST_SPEED_RAD_S**2 * rows
     with np.errstate(divide="ignore", invalid="ignore"):
-        factor = np.where(moves, products[1] / products[0], np.nan)
-        correlation = np.where(moves, np.abs(products[1]) / np.sqrt(products[0] * products[2]), np.nan)
-        lag_s = np.where(moves, products[3] / products[4], 0.0)
+        factor = np.where(moves, tr / tt, np.nan)
+        correlation = np.where(moves, np.abs(tr) / np.sqrt(tt * rr), np.nan)
+        # least squares of recorded = a true - a lag slope, since a recording that begins in motion has ts != 0
+        lag_s = np.where(moves, (tr * ts - rs * tt) / (tr * ss - rs * ts), 0.0)
+    dq = np.concatenate([s.dq for s in stretches])
     speed, torque_nm = np.percentile(np.abs(dq), 99, axis=0), np.percentile(np.abs(recording.tau), 95, axis=0)
     return Motion(low, high, speed, factor, np.nan_to_num(correlation, nan=0.0), lag_s, torque_nm)
 

@@ -313,12 +313,13 @@ def weighted_solve(
 
 
 def without_own(rows: FitRows, shared: np.ndarray, torque: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Columns and torque of each joint without what its own inertia and friction explain."""
+    """Columns and torque of each joint without what its own inertia and friction explain, in its judged rows."""
     columns: list[np.ndarray] = []
     torques: list[np.ndarray] = []
     for j in range(rows.joints):
-        own = rows.columns(j)[:, 2:]
+        judged = rows.judged(j)
+        own = rows.columns(j)[judged, 2:]
         basis = basis_of(own / rms(own))
-        for parts, x in ((columns, shared[:, j]), (torques, torque[:, j])):
+        for parts, x in ((columns, shared[judged, j]), (torques, torque[judged, j])):
             parts.append(x - basis @ (basis.T @ x))
     return columns, torques

@@ -399,11 +399,9 @@ class Suspect:
     def loads(self, tree: _core.Tree) -> Iterator[Correction]:
         """Correction of the load's mass at the last link against the others'."""
         shared, error = load_columns(self.stretches, tree, self.rows), self.rows.tau - self.predicted
-        load, left, _ = joint_fit.shared_numbers(
-            *zip(*(_known(x, y) for x, y in zip(np.moveaxis(shared, 1, 0), error.T, strict=True)), strict=True),
-            spread_about_zero(error),
-            spread=spread_about_zero,
-        )
+        known = [_known(x, y) for x, y in zip(np.moveaxis(shared, 1, 0), error.T, strict=True)]
+        columns, errors = [x for x, _ in known], [y for _, y in known]
+        load, left, _ = joint_fit.shared_numbers(columns, errors, spread_about_zero(error), spread=spread_about_zero)
         if abs(load[0]) > LEAST_KG:
             way = "more" if load[0] > 0 else "less"
             change = (

@@ -193,9 +193,11 @@ class Comparison:
 
     def shifted(self, left: Collection[int], tree: _core.Tree) -> list[Finding]:
         """Findings of recordings with small offsets: at most one warning a recording."""
-        left = {k for k in left if len(self.parts[k].time_s) >= LEAST_S * FIT.rows_hz}
         parts = {k: self.parts[k] for k in left}
         errors_nm = {k: self.pool.judged(part, part.tau - self.pool.predicted(part)) for k, part in parts.items()}
+        judged_s = {k: float(np.isfinite(x).sum(axis=0).mean()) / FIT.rows_hz for k, x in errors_nm.items()}
+        left = {k for k in left if judged_s[k] >= LEAST_S}
+        errors_nm = {k: errors_nm[k] for k in left}
         usual_nm = np.maximum(self.pool.usual_nm, joint_fit.SEEN * self.pool.spread_nm)
         numbers = [
             (number, {k: _estimate(number.columns[k], errors_nm[k], usual_nm) for k in left})
@@ -435,7 +437,7 @@ def _factor(torque: np.ndarray, predicted: np.ndarray) -> float:
 
 
 LEAST_RECORDINGS, LEAST_S = 4, 11.0
-"""Least number of recordings, and least time of motion of each, [s], to estimate a number."""
+"""Least number of recordings, and least time of each that is judged, mean of its joints, [s], to estimate a number."""
 
 
 @dataclass(frozen=True)

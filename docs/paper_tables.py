@@ -76,9 +76,8 @@ def delays(trainings: dict[str, dict[str, Any]]) -> list[str]:
     columns = ["model", "training", "each of the ten, ms", "median of the ten, ms"]
     columns += ["all: both over the threshold", "median, ms", "5 % to 95 %, ms", "largest, ms"]
     rows = []
-    for training, results, bundle in (
-        (name, results, bundle) for name, results in trainings.items() for bundle in of_recipe(results, "paper")
-    ):
+    shown = [(name, of, bundle) for name, of in trainings.items() for bundle in of_recipe(of, "paper")]
+    for training, results, bundle in shown:
         of_joint_1 = {one["id"]: one["joint_delays_against_sensor_s"][0] for one in bundle["collisions"]}
         delay_ms = {name: 1e3 * delay_s for name, delay_s in of_joint_1.items() if delay_s is not None}
         ten = [delay_ms[name] for name in results["ten_collisions"] if name in delay_ms]

@@ -292,16 +292,3 @@ def test_a_few_moves_between_rests_show_no_growth_without_a_model(longer, moves,
     x.rows = moves_between_rests(moves, growth_a_s, seed=5)
     x.fits = [fit_joint(x.rows, j) for j in (0, 1)]
     assert [x.joints.index(one.joint) for one in growth_findings(x)] == grown
-
-
-@pytest.mark.parametrize(("sign", "is_odd"), [(1.0, False), (-1.0, True)])
-def test_what_friction_holds_at_rest_makes_no_recording_odd(sign, is_odd):
-    """An arm stands for 72 % of the time; in the rests of one recording friction holds 1 N m more of gravity.
-    Compared at rest, too, its score was 3.4. A negated torque shows where the arm moves."""
-    rows = moves_between_rests(60, 0.0, seed=5)
-    part, rests = (rows.time_s // 150.0).astype(int), np.abs(rows.dq).max(axis=1) < 0.02
-    tau = (rows.tau + ((part == ODD) & rests)[:, None]) * np.where(part == ODD, sign, 1.0)[:, None]
-    parts = {k: replace(rows, tau=tau).taken(part == k) for k in range(4)}
-    _, pool = odd_torque._consensus(parts)
-    scores = {k: pool.score(pool.errors(one), pool.usual_nm) for k, one in parts.items()}
-    assert [k for k, score in scores.items() if score > odd_torque.SUSPECT] == [ODD] * is_odd

@@ -331,18 +331,6 @@ def test_load_of_least_squares_is_the_load_that_was_mounted(six):
     assert load_found.com_m == pytest.approx(mounted[1:] / 4.0, abs=0.01)
 
 
-def test_what_friction_holds_while_an_arm_stands_is_no_load(longer):
-    """An arm that stands for two thirds of the time: there friction holds half of each torque's spread."""
-    motion = stretches(longer.anew(with_load(longer.tree, np.array([4.0, 0.2, -0.1, 0.4]))))
-    rows = rows_of(motion, longer.tree)
-    rests = (rows.time_s // 3).astype(int) % 3 > 0
-    tau, dq = rows.tau.copy(), rows.dq.copy()
-    tau[rests] += 0.5 * rows.tau.std(axis=0)
-    dq[rests] = 0.0
-    found = fit_load(motion, longer.tree, replace(rows, tau=tau, dq=dq))
-    assert found.mass_kg == pytest.approx(4.0, rel=0.02)
-
-
 def test_rows_hold_the_equation_of_motion(six):
     """Without friction and noise the torque is gravity + inertial, whatever filter both went through."""
     made = six.made

@@ -49,14 +49,11 @@ class FitRows:
     def model(self) -> np.ndarray:
         return self.gravity + self.inertial
 
-    def least_speeds(self) -> np.ndarray:
-        """(joints,) speed from which a joint moves, [rad/s]."""
-        return np.minimum(MOVING_RAD_S, 0.02 * np.abs(self.dq).max(axis=0))
-
     def judged(self, joint: int) -> np.ndarray:
         """(rows,) bool: rows in which the joint moves, if it rests in at least half of them; else all rows. In a rest,
         friction holds an unknown part of gravity."""
-        moves = np.abs(self.dq[:, joint]) > self.least_speeds()[joint]
+        speed = np.abs(self.dq[:, joint])
+        moves = speed > min(MOVING_RAD_S, 0.02 * float(speed.max()))
         return moves if LEAST_MOVING <= moves.sum() < 0.5 * len(moves) else np.ones_like(moves)
 
     def columns(self, joint: int) -> np.ndarray:
@@ -313,13 +310,12 @@ def weighted_solve(
 
 
 def without_own(rows: FitRows, shared: np.ndarray, torque: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Columns and torque of each joint without what its own inertia and friction explain, in its judged rows."""
+    """Columns and torque of each joint without what its own inertia and friction explain."""
     columns: list[np.ndarray] = []
     torques: list[np.ndarray] = []
     for j in range(rows.joints):
-        judged = rows.judged(j)
-        own = rows.columns(j)[judged, 2:]
+        own = rows.columns(j)[:, 2:]
         basis = basis_of(own / rms(own))
-        for parts, x in ((columns, shared[judged, j]), (torques, torque[judged, j])):
+        for parts, x in ((columns, shared[:, j]), (torques, torque[:, j])):
             parts.append(x - basis @ (basis.T @ x))
     return columns, torques

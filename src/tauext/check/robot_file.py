@@ -358,12 +358,10 @@ def fit_load(stretches: Sequence[Stretch], tree: _core.Tree, rows: FitRows) -> L
     numbers, errors, weights = joint_fit.shared_numbers(
         columns, torques, np.maximum(without, 0.02 * rows.tau.std(axis=0))
     )
-    tenths = [np.arange(len(y)) * joint_fit.BLOCKS // len(y) for y in torques]
-    parts_kg = []
-    for k in range(joint_fit.BLOCKS):
-        x = [x[tenth != k] for x, tenth in zip(columns, tenths, strict=True)]
-        y = [y[tenth != k] for y, tenth in zip(torques, tenths, strict=True)]
-        parts_kg.append(joint_fit.weighted_solve(x, y, weights)[0])
+    kept = [
+        np.delete(np.arange(len(rows.time_s)), b) for b in np.array_split(np.arange(len(rows.time_s)), joint_fit.BLOCKS)
+    ]
+    parts_kg = [joint_fit.weighted_solve([x[k] for x in columns], [y[k] for y in torques], weights)[0] for k in kept]
     com_m = numbers[1:] / (numbers[0] or 1.0)
     return Load(float(numbers[0]), joint_fit.spread_of(np.array(parts_kg)), com_m, np.maximum(errors, 1e-9), without)
 

@@ -103,7 +103,7 @@ def bundle_of(presser: Presser, folder: Path, hours: float = CALIBRATION_H) -> _
             recording = replace(load(), provenance=provenance_of(presser.facts))
             save_recording(recording, folder / f"{recording.name}.parquet")
         save_split(Split(tuple(sorted(one.name for one in folder.glob("train-*.parquet"))), (), ()), folder)
-    bundle = load_bundle(trained(folder, free, "--accept", "torque-changes"))
+    bundle = load_bundle(trained(folder, free))
     if not hours:
         return bundle
     if not promised.exists():

@@ -128,22 +128,27 @@ def best_zero(size: Callable[[float], float]) -> tuple[float, float]:
     return math.remainder(float(found.x), 2 * math.pi), float(found.fun)
 
 
+REST_SHARE = 0.125
+"""Of a second at rest, in the time of the motion that is searched: friction holds a part of gravity in it."""
+
+
 def search_stretches(stretches: Sequence[Stretch], seconds: float = 60.0, least_s: float = 2.0) -> list[Stretch]:
-    """The motion on which corrections are tried, since dozens are: about so many seconds of the whole, the begin of
-    each stretch, or of every few if they are short. A part below `least_s` has no turn, and uncertain differences at
-    its ends; if no stretch is longer, the longest one whole."""
+    """The motion on which corrections are tried, since dozens are: about so many seconds of the whole, of which rests
+    count little; the begin of each stretch, or of every few if they are short. A part below `least_s` has no turn, and
+    uncertain differences at its ends; if no stretch is longer, the longest one whole."""
     long = [s for s in stretches if s.seconds > least_s and len(s.q) > PADDED_ROWS]
     if not long:
         return [max(stretches, key=lambda s: s.seconds)]
-    total, parts = sum(s.seconds for s in long), list[Stretch]()
+    counted_s = [np.cumsum(np.where(s.moves, 1.0, REST_SHARE)) / s.rate_hz for s in long]
+    total, parts = sum(float(so_far[-1]) for so_far in counted_s), list[Stretch]()
     passed = used = 0.0
-    for stretch in long:
-        passed += stretch.seconds
-        part_s = min(stretch.seconds, passed * min(1.0, seconds / total) - used)
-        if part_s > least_s:
-            rows = max(PADDED_ROWS + 1, round(part_s / stretch.seconds * len(stretch.q)))
+    for stretch, so_far in zip(long, counted_s, strict=True):
+        passed += float(so_far[-1])
+        part_s = passed * min(1.0, seconds / total) - used
+        rows = min(len(so_far), int(np.searchsorted(so_far, part_s)) + 1)
+        if rows > max(least_s * stretch.rate_hz, PADDED_ROWS):
             parts.append(stretch.changed(itemgetter(slice(rows))))
-            used += part_s
+            used += float(so_far[rows - 1])
     return parts or [max(long, key=lambda s: s.seconds)]
 
 
@@ -309,9 +314,11 @@ def _gain_otherwise(stretches: Sequence[Stretch], tree: _core.Tree, rows: FitRow
 
 
 def _errors(rows: FitRows) -> np.ndarray:
-    """Robust error of each joint [N m], with one factor for the whole model: an arrangement must fit as a whole."""
+    """Robust error of each joint [N m] in its judged rows, with one factor for the whole model: an arrangement must fit
+    as a whole."""
     errors = np.empty(rows.joints)
     for j in range(rows.joints):
+        judged = rows.judged(j)
         columns = np.column_stack([rows.model[:, j], 0 * rows.time_s, rows.columns(j)[:, 2:]])
-        errors[j] = robust_error(columns, rows.tau[:, j])
+        errors[j] = robust_error(columns[judged], rows.tau[judged, j])
     return np.maximum(errors, 1e-9)

@@ -13,7 +13,7 @@ import numpy as np
 from tauext import _core
 from tauext.check.finding import Finding, Found
 from tauext.check.joint_fit import LEAST_ROWS, FitRows, JointFit, fit_joint, rows_of
-from tauext.check.motion import MOVING_RAD_S, Stretch, VelocityFit, stretches
+from tauext.check.motion import Stretch, VelocityFit, stretches
 from tauext.data.recording import Recording
 from tauext.data.servo import torque_unit
 
@@ -93,7 +93,7 @@ class Examination:
     @property
     def moving_s(self) -> float:
         """Time in which some joint moves, [s]."""
-        return sum(float((np.abs(s.dq) > MOVING_RAD_S).any(axis=1).sum()) / s.rate_hz for s in self.motion)
+        return sum(float(s.moves.sum()) / s.rate_hz for s in self.motion)
 
     def correct(self, **corrected: Any) -> None:
         """Set corrected recordings, motion, tree or lag; what follows from them is computed again when needed."""

@@ -49,11 +49,14 @@ class FitRows:
     def model(self) -> np.ndarray:
         return self.gravity + self.inertial
 
+    def least_speeds(self) -> np.ndarray:
+        """(joints,) speed from which a joint moves, [rad/s]."""
+        return np.minimum(MOVING_RAD_S, 0.02 * np.abs(self.dq).max(axis=0))
+
     def judged(self, joint: int) -> np.ndarray:
         """(rows,) bool: rows in which the joint moves, if it rests in at least half of them; else all rows. In a rest,
         friction holds an unknown part of gravity."""
-        speed = np.abs(self.dq[:, joint])
-        moves = speed > min(MOVING_RAD_S, 0.02 * float(speed.max()))
+        moves = np.abs(self.dq[:, joint]) > self.least_speeds()[joint]
         return moves if LEAST_MOVING <= moves.sum() < 0.5 * len(moves) else np.ones_like(moves)
 
     def columns(self, joint: int) -> np.ndarray:
@@ -250,29 +253,39 @@ def robust_error(columns: np.ndarray, torque: np.ndarray) -> float:
     return robust_spread(torque - columns @ robust_solve(columns, torque)[0])
 
 
+def left_out_error(columns: np.ndarray, torque: np.ndarray, trust: np.ndarray) -> np.ndarray:
+    """Error of each row by a fit without its block of time, (rows,)."""
+    error = np.empty(len(torque))
+    for block in np.array_split(np.arange(len(torque)), BLOCKS):
+        weights = solve(*(np.delete(x, block, axis=0) for x in (columns, torque, trust)))
+        error[block] = torque[block] - columns[block] @ weights
+    return error
+
+
 def fit_joint(rows: FitRows, joint: int) -> JointFit:
-    """Robust fit of one joint; at least LEAST_ROWS rows."""
-    columns, torque = rows.columns(joint), rows.tau[:, joint]
+    """Robust fit of one joint in its judged rows; at least LEAST_ROWS rows. It predicts all rows."""
+    all_columns, judged = rows.columns(joint), rows.judged(joint)
+    columns, torque = all_columns[judged], rows.tau[judged, joint]
     weights, trust = robust_solve(columns, torque)
     blocks = np.array_split(np.arange(len(torque)), BLOCKS)
     left_out = np.stack([solve(*(np.delete(x, b, axis=0) for x in (columns, torque, trust))) for b in blocks])
     of_gravity = [0, *range(CONSTANT + FRICTION, columns.shape[1])]
     parts = (of_gravity, slice(1, 3), slice(CONSTANT, CONSTANT + FRICTION))
     gravity_nm, inertial_nm, friction_nm = (float((columns[:, part] @ weights[part]).std()) for part in parts)
-    predicted = columns @ weights
-    error_nm = robust_spread(torque - predicted)
-    return JointFit(weights, left_out, predicted, float(torque.std()), error_nm, gravity_nm, inertial_nm, friction_nm)
+    error_nm, torque_nm = robust_spread(torque - columns @ weights), float(torque.std())
+    return JointFit(weights, left_out, all_columns @ weights, torque_nm, error_nm, gravity_nm, inertial_nm, friction_nm)
 
 
 def model_factor(rows: FitRows, joint: int) -> tuple[float, float]:
     """Measured torque per unit of the model's gravity and inertia together, and its standard error; 0, 0 where the
     model has no torque there. It is as small or as large as another unit makes it: nothing is ignored beside friction.
     """
-    torque, model = rows.tau[:, joint], rows.model[:, joint]
+    judged = rows.judged(joint)
+    torque, model = rows.tau[judged, joint], rows.model[judged, joint]
     if not model.std() > 1e-6 * rows.model.std(axis=0).max() or not torque.std() > 0:
         return 0.0, 0.0
     size = torque.std() / model.std()
-    own = (rows.acceleration[:, joint], rows.friction[:, joint])
+    own = (rows.acceleration[judged, joint], rows.friction[judged, joint])
     columns = np.column_stack([size * model, np.zeros(len(model)), *own])
     weights, trust = robust_solve(columns, torque)
     blocks = np.array_split(np.arange(len(torque)), BLOCKS)

@@ -94,6 +94,12 @@ class Stretch:
     def seconds(self) -> float:
         return len(self.q) / self.rate_hz
 
+    @property
+    def moves(self) -> np.ndarray:
+        """(samples,) bool: some joint moves."""
+        moves: np.ndarray = (np.abs(self.dq) > MOVING_RAD_S).any(axis=1)
+        return moves
+
     def changed(self, change: Callable[[np.ndarray], np.ndarray], names: Sequence[str] = SIGNALS) -> Stretch:
         """The stretch with these signals changed."""
         signals: dict[str, Any] = {name: change(getattr(self, name)) for name in names}

@@ -22,9 +22,18 @@ from tauext.data.recording import Recording
 from tauext.data.servo import makes_torque
 
 
+def medians(error: np.ndarray) -> np.ndarray:
+    """Median of each column, or of one; NaN is left out, and of nothing else it is 0."""
+    if not len(error):
+        return np.zeros(error.shape[1:])
+    if np.isfinite(error).all():
+        return np.asarray(np.median(error, axis=0))
+    return np.array([np.median(x[np.isfinite(x)]) if np.isfinite(x).any() else 0.0 for x in error.T])
+
+
 def spread_about_zero(error: np.ndarray) -> np.ndarray:
-    """Robust magnitude of each column, offset included."""
-    return np.maximum(1.4826 * np.median(np.abs(error), axis=0), 1e-9)
+    """Robust magnitude of each column, offset included; NaN is left out."""
+    return np.maximum(1.4826 * medians(np.abs(error)), 1e-9)
 
 
 # --- Recordings whose torque the others' fit does not explain, and the simple correction that makes them agree.
@@ -37,10 +46,16 @@ MATTERS = 0.1  # errors below this share of the torque's spread are ignored
 
 @dataclass(frozen=True)
 class Pool:
-    """Fits of all joints on some recordings, and the leverage from which a row's motion is new to them."""
+    """Fits of all joints on some recordings, and the leverage from which a row's motion is new to them.
 
+    A joint that rests in half of all rows is fitted and compared where it moves, and so is one that rests in half of a
+    recording: in a rest, friction holds an unknown part of gravity, in one recording another part than in the next.
+    """
+
+    rests: np.ndarray  # (joints,) bool: it rests in half of the rows
+    least_rad_s: np.ndarray  # (joints,) speed from which a joint moves
     weights: list[np.ndarray]
-    usual_nm: np.ndarray  # (joints,) median of the recordings' errors
+    usual_nm: np.ndarray  # (joints,) median of the recordings' errors; at least that of motion left out of the fit
     spread_nm: np.ndarray  # (joints,) of the torque
     whiten: list[np.ndarray]
     reach: list[float]
@@ -50,23 +65,37 @@ class Pool:
         count = sum(len(part.time_s) for part in parts)
         stride = max(1, count // 4000)  # errors of neighbouring rows are correlated
         rows = FitRows.joined([part.taken(slice(None, None, stride)) for part in parts])
-        weights, whiten, reach = [], [], []
+        rests, weights, left_nm, whiten, reach = [], [], [], [], []
         for j in range(rows.joints):
-            x = rows.columns(j)
-            weights.append(joint_fit.robust_solve(x, rows.tau[:, j])[0])
+            judged = rows.judged(j)
+            rests.append(not judged.all())
+            x, torque = rows.columns(j)[judged], rows.tau[judged, j]
+            solved, trust = joint_fit.robust_solve(x, torque)
+            weights.append(solved)
+            left_nm.append(spread_about_zero(joint_fit.left_out_error(x, torque, trust)))
             size = joint_fit.rms(x)
             values, vectors = np.linalg.eigh((x / size).T @ (x / size) / len(x))
             kept = values > 1e-4 * values[-1]
             whiten.append(vectors[:, kept] / np.sqrt(values[kept]) / size[:, None])
             reach.append(3.0 * float(np.percentile(((x @ whiten[-1]) ** 2).sum(axis=1), 99)))
-        pool = Pool(weights, np.zeros(rows.joints), rows.tau.std(axis=0), whiten, reach)
-        return replace(pool, usual_nm=np.median([pool.errors(part) for part in parts], axis=0))
+        least_rad_s, spread_nm = rows.least_speeds(), rows.tau.std(axis=0)
+        pool = Pool(np.array(rests), least_rad_s, weights, np.zeros(rows.joints), spread_nm, whiten, reach)
+        known_nm = np.median([pool.errors(part) for part in parts], axis=0)
+        return replace(pool, usual_nm=np.maximum(known_nm, left_nm))
 
     def predicted(self, rows: FitRows) -> np.ndarray:
         return np.column_stack([rows.columns(j) @ w for j, w in enumerate(self.weights)])
 
+    def judged(self, rows: FitRows, error: np.ndarray) -> np.ndarray:
+        """The error (rows, joints), NaN where a joint that mostly rests does not move, or moves for less than 4 s."""
+        moves = np.abs(rows.dq) > self.least_rad_s
+        counts = moves | ~(self.rests | (moves.mean(axis=0) < 0.5))
+        period_s = float(np.median(np.diff(rows.time_s)))
+        counts &= counts.sum(axis=0) * period_s >= joint_fit.LEAST_ROWS / FIT.rows_hz
+        return np.where(counts, error, np.nan)
+
     def errors(self, rows: FitRows) -> np.ndarray:
-        return spread_about_zero(rows.tau - self.predicted(rows))
+        return spread_about_zero(self.judged(rows, rows.tau - self.predicted(rows)))
 
     def comparable(self, rows: FitRows, joints: np.ndarray) -> float:
         """Share of the rows within the motion that these joints (n,) bool were fitted on."""
@@ -140,7 +169,8 @@ class Comparison:
         inverse: dict[int, list[int]] = {}
         for k in left:
             part = self.parts[k]
-            if len(part.time_s) >= 20.0 * FIT.rows_hz:  # [s], for a joint's friction
+            made = makes_torque(self.x.recordings[k])  # a drive's signal reverses before the joint moves
+            if len(part.time_s) >= 20.0 * FIT.rows_hz and not made:  # [s], for a joint's friction
                 driving = np.flatnonzero((part.tau * part.dq).mean(axis=0) < 0).tolist()
                 inverse[k] = [j for j in driving if sign_vote(part, j, joint_fit.fit_joint(part, j)).inverted]
         for k, wrong in inverse.items():
@@ -166,8 +196,11 @@ class Comparison:
 
     def shifted(self, left: Collection[int], tree: _core.Tree) -> list[Finding]:
         """Findings of recordings with small offsets: at most one warning a recording."""
-        left = {k for k in left if len(self.parts[k].time_s) >= LEAST_S * FIT.rows_hz}
-        errors_nm = {k: self.parts[k].tau - self.pool.predicted(self.parts[k]) for k in left}
+        parts = {k: self.parts[k] for k in left}
+        errors_nm = {k: self.pool.judged(part, part.tau - self.pool.predicted(part)) for k, part in parts.items()}
+        judged_s = {k: float(np.isfinite(x).sum(axis=0).mean()) / FIT.rows_hz for k, x in errors_nm.items()}
+        left = {k for k in left if judged_s[k] >= LEAST_S}
+        errors_nm = {k: errors_nm[k] for k in left}
         usual_nm = np.maximum(self.pool.usual_nm, joint_fit.SEEN * self.pool.spread_nm)
         numbers = [
             (number, {k: _estimate(number.columns[k], errors_nm[k], usual_nm) for k in left})
@@ -186,7 +219,7 @@ class Comparison:
 
     def numbers(self, errors_nm: dict[int, np.ndarray], tree: _core.Tree) -> Iterator[Number]:
         parts = {k: self.parts[k] for k in errors_nm}
-        late = {k: _late(part, part.tau - errors_nm[k]) for k, part in parts.items()}
+        late = {k: _late(part, self.pool.predicted(part)) for k, part in parts.items()}
         yield Number("its torque comes late", "ms", 1e3, None, 0.01, 0.2, late)
         largest = np.max([part.gravity.std(axis=0).max() for part in parts.values()])
         for j, joint in enumerate(self.x.joints):
@@ -210,8 +243,8 @@ def odd_torques(x: Examination) -> list[Finding]:
     def agreeing() -> list[int]:
         return [k for k in parts if x.recordings[k].name not in {f.recording for f in found}]
 
-    order = {k: pool.score(pool.errors(parts[k]), pool.usual_nm) for k in set(parts) - set(members)}
-    for k in sorted(order, key=lambda k: -order[k]):
+    score = {k: pool.score(pool.errors(parts[k]), pool.usual_nm) for k in set(parts) - set(members)}
+    for k in sorted((k for k in score if score[k] >= SUSPECT), key=lambda k: -score[k]):
         one = others.corrected(k) or (others.unlike(k) if x.tree is not None else None)
         found += [] if one is None else [one]
     driven = others.driven(agreeing())
@@ -256,7 +289,9 @@ class Suspect:
 
     def __init__(self, rows: FitRows, stretches: Sequence[Stretch], others: Comparison) -> None:
         self.rows, self.stretches, self.others = rows, stretches, others
-        pool, self.predicted = others.pool, others.pool.predicted(rows)
+        pool, predicted = others.pool, others.pool.predicted(rows)
+        self.predicted = pool.judged(rows, predicted)
+        """(rows, joints), NaN where it is not judged."""
         self.before_nm = pool.errors(rows)
         """(joints,) error of the others' fit."""
         self.off = self.before_nm > SUSPECT * np.maximum(pool.usual_nm, 1e-9)
@@ -316,8 +351,7 @@ class Suspect:
 
     def only(self, chosen: Sequence[int], errors_nm: np.ndarray) -> np.ndarray:
         """Errors where these joints alone are corrected."""
-        now = spread_about_zero(self.rows.tau - self.predicted)
-        return np.where(np.isin(np.arange(len(now)), chosen), errors_nm, now)
+        return np.where(np.isin(np.arange(len(self.before_nm)), chosen), errors_nm, self.before_nm)
 
     def signs_and_factors(self) -> Iterator[Correction]:
         tau, predicted, off = self.rows.tau, self.predicted, np.flatnonzero(self.off).tolist()
@@ -340,7 +374,7 @@ class Suspect:
 
     def offsets_and_order(self) -> Iterator[Correction]:
         tau, predicted, off = self.rows.tau, self.predicted, np.flatnonzero(self.off).tolist()
-        middle = np.median(tau - predicted, axis=0)
+        middle = medians(tau - predicted)
         centred = spread_about_zero(tau - predicted - middle)
         for j in off:
             what = f"{-middle[j]:+.3g} {self.others.x.unit} added to its torque"
@@ -370,9 +404,9 @@ class Suspect:
     def loads(self, tree: _core.Tree) -> Iterator[Correction]:
         """Correction of the load's mass at the last link against the others'."""
         shared, error = load_columns(self.stretches, tree, self.rows), self.rows.tau - self.predicted
-        load, left, _ = joint_fit.shared_numbers(
-            list(np.moveaxis(shared, 1, 0)), list(error.T), spread_about_zero(error), spread=spread_about_zero
-        )
+        known = [_known(x, y) for x, y in zip(np.moveaxis(shared, 1, 0), error.T, strict=True)]
+        columns, errors = [x for x, _ in known], [y for _, y in known]
+        load, left, _ = joint_fit.shared_numbers(columns, errors, spread_about_zero(error), spread=spread_about_zero)
         if abs(load[0]) > LEAST_KG:
             way = "more" if load[0] > 0 else "less"
             change = (
@@ -381,8 +415,15 @@ class Suspect:
             yield Correction(change, None, left, "warning", 4, rough=True)
 
 
+def _known(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of both in which y is not NaN."""
+    at = np.isfinite(y)
+    return x[at], y[at]
+
+
 def _factor(torque: np.ndarray, predicted: np.ndarray) -> float:
     """Factor from prediction to torque, from the rows with the least error."""
+    torque, predicted = _known(torque, predicted)
     keep = np.ones(len(torque), dtype=bool)
     factor = 0.0
     for _ in range(3):
@@ -399,7 +440,7 @@ def _factor(torque: np.ndarray, predicted: np.ndarray) -> float:
 
 
 LEAST_RECORDINGS, LEAST_S = 4, 11.0
-"""Least number of recordings, and least time of motion of each, [s], to estimate a number."""
+"""Least number of recordings, and least time of each that is judged, mean of its joints, [s], to estimate a number."""
 
 
 @dataclass(frozen=True)
@@ -453,14 +494,15 @@ def _estimate(columns: np.ndarray, error_nm: np.ndarray, usual_nm: np.ndarray) -
     known = np.isfinite(columns).all(axis=(1, 2))
     if known.sum() < LEAST_S * FIT.rows_hz / 2:
         return 0.0, 0.0
-    columns, error = columns[known], error_nm[known] - np.median(error_nm[known], axis=0)
-    weight = np.ones_like(error) / usual_nm
+    columns, error = columns[known], error_nm[known] - medians(error_nm[known])
+    judged = np.isfinite(error)
+    weight = judged / usual_nm
     value = np.zeros(columns.shape[2])
     for _ in range(4):
         x = (columns * weight[:, :, None]).reshape(-1, columns.shape[2])
-        value = np.linalg.lstsq(x, (error * weight).ravel(), rcond=1e-6)[0]
-        off = np.abs(error - columns @ value) / usual_nm
-        weight = np.sqrt(np.minimum(1.0, joint_fit.HUBER / np.maximum(off, 1e-9))) / usual_nm
+        value = np.linalg.lstsq(x, (np.where(judged, error, 0.0) * weight).ravel(), rcond=1e-6)[0]
+        off = np.where(judged, np.abs(error - columns @ value), 0.0) / usual_nm
+        weight = np.sqrt(np.minimum(1.0, joint_fit.HUBER / np.maximum(off, 1e-9))) * judged / usual_nm
     least_nm = usual_nm if len(value) > 1 else 0.0 * usual_nm  # a fit of several numbers always gains something
     before, after = (np.maximum(spread_about_zero(x), least_nm) for x in (error, error - columns @ value))
     return float(value[0]), float(np.log(before / after).sum())

@@ -139,12 +139,13 @@ def step_findings(x: Examination) -> Iterator[Finding]:
     times = 6.0 if rows.has_model else 4.0
     for j, fit in enumerate(x.fits):
         predicted = closest_fit(rows, j, fit.predicted) if rows.has_model else fit.predicted
-        error = rows.tau[:, j] - predicted
-        largest = np.maximum.reduceat(np.abs(error - np.median(error)), starts)[moves[:, j]]
+        error, judged = rows.tau[:, j] - predicted, rows.judged(j)
+        off = np.where(judged, np.abs(error - np.median(error[judged])), 0.0)
+        largest = np.maximum.reduceat(off, starts)[moves[:, j]]
         if len(largest) < 120:
             continue
         usual, step = np.percentile(largest, (50, 90))
-        if step > times * usual and step > 0.5 * float(predicted.std()):
+        if step > times * usual and step > 0.5 * float(predicted[judged].std()):
             share = float((largest > 0.5 * step).mean())
             evidence = f"off by {step:.3g} {x.unit} in {share:.0%} of the motion, by {usual:.2g} {x.unit} usually"
             advice = (
@@ -155,12 +156,12 @@ def step_findings(x: Examination) -> Iterator[Finding]:
 
 
 def closest_fit(rows: FitRows, joint: int, predicted: np.ndarray) -> np.ndarray:
-    """Torque of a fit to 60 % of the rows, those closest to this one, (rows,): steps in a third of the time distort a
-    fit to all rows."""
-    columns, torque = rows.columns(joint), rows.tau[:, joint]
+    """Torque of a fit to 60 % of the judged rows, those closest to this one, (rows,): steps in a third of the time
+    distort a fit to all of them."""
+    columns, torque, judged = rows.columns(joint), rows.tau[:, joint], rows.judged(joint)
     for _ in range(10):
         error = np.abs(torque - predicted)
-        trust = np.where(error <= np.quantile(error, 0.6), 1.0, 1e-9)
+        trust = np.where(judged & (error <= np.quantile(error[judged], 0.6)), 1.0, 1e-9)
         predicted = columns @ joint_fit.solve(columns, torque, trust)
     return predicted
 
@@ -247,10 +248,12 @@ def unlabelled_findings(
     largest = np.maximum.reduceat(np.abs(errors), starts)
     usual = np.maximum(np.percentile(largest[moving], rules.usual, axis=0), 1e-12)
     swings = np.maximum.reduceat(rows.tau, starts) - np.minimum.reduceat(rows.tau, starts)
-    crawls = np.minimum.reduceat(np.abs(rows.dq), starts) < 0.05
-    # steps of acceleration leave errors, too; slow joints may stick and slip by half of their friction
+    slowest, fastest = (way.reduceat(np.abs(rows.dq), starts) for way in (np.minimum, np.maximum))
+    # steps of acceleration leave errors, too; slow joints may stick and slip by half of their friction, and of one at
+    # rest friction holds any part
     least = 0.1 * np.maximum(swings, rows.tau.std(axis=0))
-    seen = largest > least + 0.5 * crawls * np.percentile(np.abs(friction), rules.usual, axis=0)
+    held = np.where(fastest < MOVING_RAD_S, 1.0, 0.5 * (slowest < 0.05))
+    seen = largest > least + held * np.percentile(np.abs(friction), rules.usual, axis=0)
     times, spreads = largest / usual, largest / spread
     alone, together = (seen & (times > a) & (spreads > b) for a, b in (rules.alone, rules.together))
     touched = alone.any(axis=1) | (together.sum(axis=1) >= 2)

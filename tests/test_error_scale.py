@@ -19,6 +19,7 @@ from tauext.data.dataset import Dataset, Split
 from tauext.data.recording import Recording
 from tauext.errors import ConfigError
 from tauext.fit.bundle_writing import build_setup, make_bundle
+from tauext.train import asked_limits, other_programs
 from tauext.train.calibrate import recalibrate
 from tauext.train.error_scale import (
     FEATURES,
@@ -32,6 +33,7 @@ from tauext.train.error_scale import (
     freeze_floor_nm,
     judge,
     put_constant_error,
+    rest_sigma_nm,
     sigma_weights,
 )
 from tauext.train.fitting import GainConfig, mean_delay_s
@@ -261,6 +263,15 @@ def with_unknown(recording: Recording) -> Recording:
     return replace(recording, contact=contact)
 
 
+def twice_as_large_at_rest(bundle: _core.Bundle, *_) -> None:
+    """What other programs add to sigma."""
+    scale = bundle.error_scale
+    near = np.array(scale.sigma_near_weights).reshape(bundle.joints, -1)
+    near[:, FEATURES.index(_core.MotionFeature.standstill)] += rest_sigma_nm(bundle)
+    scale.sigma_near_weights = near.ravel().tolist()
+    bundle.error_scale = scale
+
+
 @pytest.mark.parametrize("in_hours", [0.02, 8.0], ids=["proved", "extrapolated"])
 def test_calibrate_gives_the_limits_of_a_training_with_the_same_calibration_recordings(tmp_path, monkeypatch, in_hours):
     """Nothing is left of what minutes need: floors, the share of friction, and limits at rest that outlast a rest."""
@@ -268,6 +279,9 @@ def test_calibrate_gives_the_limits_of_a_training_with_the_same_calibration_reco
     day = [replace(one, name=f"day{k}") for k, one in enumerate(day)]
     loaders = [lambda one=one: one for one in day]
     training, alarm = [motion(seconds=60.0)], AlarmConfig(in_hours=in_hours)
+    rest_nm, put_floors = [], asked_limits.put_floors
+    monkeypatch.setattr(asked_limits, "put_floors", lambda *given: rest_nm.append(given[-1]) or put_floors(*given))
+    monkeypatch.setattr(other_programs, "add_at_rest", twice_as_large_at_rest)
     short, _ = trained(tmp_path, monkeypatch, training, recipe="prior", alarm=alarm)
     monkeypatch.setattr(Dataset, "stretches", lambda self, part: loaders)
     heard, names = Heard(), ("once", "twice")
@@ -278,6 +292,9 @@ def test_calibrate_gives_the_limits_of_a_training_with_the_same_calibration_reco
     given = TrainingInput(Path(), EXACT, training, [], calibration=loaders, model=planar_arm())
     config = TrainConfig(recipe="prior", prior=PriorConfig(most_ripples=0), alarm=alarm)
     train_on_recordings(given, config, tmp_path / "whole.tauext", heard)
+    if in_hours == 8.0:  # sigma at rest contains other programs; floors do not
+        assert len(rest_nm) == 4 and rest_sigma_nm(short) == pytest.approx(2 * rest_nm[0])
+        np.testing.assert_allclose(rest_nm, [rest_nm[0]] * 4, rtol=0.05)
     assert any("made" not in words and "of 4.0 s the contact is unknown" in words for words in heard.said)
     whole, *made = (_core.Bundle.load(str(tmp_path / f"{name}.tauext")) for name in ("whole", *names))
     assert not np.allclose(short.error_scale.limit_weights, whole.error_scale.limit_weights, rtol=0.01)

@@ -10,6 +10,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tauext import _core
 from tauext.bundle.bundle_file import load_bundle, write_bundle
 from tauext.bundle.loss_history import read_loss_history
@@ -79,7 +81,10 @@ def recalibrate(
         report.say(words)
         facts["rejected_in_calibration"] = asdict(rejected.summary())
     before = facts.get("limits") or {}
-    motion = LimitMotion(out.stem, alarm, threads, report=report, note=report.say, calibration=loaders, out=out)
+    motion = LimitMotion(
+        out.stem, alarm, threads, report=report, note=report.say, calibration=loaders, out=out,
+        rest_sigma_nm=rest_sigma_of(loaded, facts),
+    )  # fmt: skip
     limits = facts["limits"] = LIMITS["asked"](loaded, motion)
     compared, worse = worse_promise(before, limits, bundle.name)
     if compared:
@@ -97,6 +102,13 @@ def recalibrate(
     write_calibrated(loaded, out, facts, started, history, report, accept, worse)
     remove_checkpoint(out)
     return limits
+
+
+def rest_sigma_of(bundle: _core.Bundle, facts: dict) -> np.ndarray | None:
+    """Standard errors at rest in the recorded motion, (joints,), [N m], as the training found them; None: the bundle's
+    error scale is of another kind, or older than this entry."""
+    known = facts.get("error_scale", {}).get("other_programs", {}).get("rest_sigma_nm")
+    return None if known is None else np.array([known[link.joint_name] for link in bundle.links])
 
 
 def remove_reserves(bundle: _core.Bundle) -> None:

@@ -85,9 +85,10 @@ def widen_for_other_programs(
     usual = np.median(rows.scale(weights), axis=0)
     scale.limit_weights, scale.largest = (weights / usual[:, None]).ravel().tolist(), (largest / usual).tolist()
     bundle.error_scale = scale
+    names, of_motion_nm = [link.joint_name for link in bundle.links], rest_sigma_nm(bundle)
     add_at_rest(bundle, features, spread_nm, rows.config.rests_rad_s)
-    names = [link.joint_name for link in bundle.links]
     facts = {
+        "rest_sigma_nm": dict(zip(names, of_motion_nm.tolist(), strict=True)),
         "standard_error_nm": dict(zip(names, np.sqrt((spread_nm**2).mean(axis=0)).tolist(), strict=True)),
         "scale_grew_by": dict(zip(names, usual.tolist(), strict=True)),
     }

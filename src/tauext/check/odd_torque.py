@@ -87,11 +87,13 @@ class Pool:
         return np.column_stack([rows.columns(j) @ w for j, w in enumerate(self.weights)])
 
     def judged(self, rows: FitRows, error: np.ndarray) -> np.ndarray:
-        """The error (rows, joints), NaN where a joint that mostly rests does not move, or moves for less than 4 s."""
+        """The error (rows, joints), NaN where a joint that mostly rests does not move, or moves for less than 4 s. A
+        recording in which a joint never moves counts, if it does not rest in the others: its positions may be wrong."""
         moves = np.abs(rows.dq) > self.least_rad_s
         counts = moves | ~(self.rests | (moves.mean(axis=0) < 0.5))
         period_s = float(np.median(np.diff(rows.time_s)))
-        counts &= counts.sum(axis=0) * period_s >= joint_fit.LEAST_ROWS / FIT.rows_hz
+        enough = counts.sum(axis=0) * period_s >= joint_fit.LEAST_ROWS / FIT.rows_hz
+        counts = np.where(self.rests, counts & enough, counts | ~enough)
         return np.where(counts, error, np.nan)
 
     def errors(self, rows: FitRows) -> np.ndarray:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from check_cases import parallel, scara
 from made_arms import planar_arm, six_axis, urdf
 from made_recordings import Drive, made_motion
 
@@ -268,6 +269,27 @@ def test_what_friction_holds_while_a_joint_rests_is_no_step_of_its_torque(longer
     x.__dict__.pop("fits", None)
     assert [x.joints.index(one.joint) for one in step_findings(x)] == steps
     assert len(often_disturbed(x.rows, x.joints, x.unit)) == len(steps)
+
+
+@pytest.mark.parametrize(("pushed", "steps"), [(False, []), (True, [J])])
+def test_torque_that_moves_the_other_links_is_no_step_without_a_model(tmp_path, pushed, steps):
+    """The elbow of a SCARA turns the column: without a model, that torque is off in a quarter of the motion."""
+    path = tmp_path / "scara.urdf"
+    path.write_text(urdf(scara()))
+    x = Examination(made_motion(load_tree(path), 4.0, 100.0, seed=3, drive=Drive(friction=0.5)).recordings)
+    off = pushed & ((x.rows.time_s // 3).astype(int) % 6 == 0)
+    tau = x.rows.tau.copy()
+    tau[:, J] += off * 8 * tau[:, J].std()
+    x.rows = replace(x.rows, tau=tau)
+    assert [x.joints.index(one.joint) for one in step_findings(x)] == steps
+
+
+def test_friction_that_grows_with_gravity_is_no_contact(tmp_path):
+    path = tmp_path / "parallel.urdf"
+    path.write_text(urdf(parallel()))
+    drive = Drive(presliding_rad=5e-3, pause_s=3.0, load=0.1, profile="trapezoid")
+    x = Examination(made_motion(load_tree(path), 8.0, 100.0, seed=3, drive=drive).recordings, tree=load_tree(path))
+    assert not often_disturbed(x.rows, x.joints, x.unit)
 
 
 @pytest.mark.parametrize(("rests", "grown"), [(False, [J]), (True, [])])

@@ -141,18 +141,29 @@ def step_findings(x: Examination) -> Iterator[Finding]:
         predicted = closest_fit(rows, j, fit.predicted) if rows.has_model else fit.predicted
         error, judged = rows.tau[:, j] - predicted, rows.judged(j)
         off = np.where(judged, np.abs(error - np.median(error[judged])), 0.0)
-        largest = np.maximum.reduceat(off, starts)[moves[:, j]]
-        if len(largest) < 120:
+        largest, moving = np.maximum.reduceat(off, starts), moves[:, j]
+        if moving.sum() < 120:
             continue
-        usual, step = np.percentile(largest, (50, 90))
+        # without a model, the torque that moves the other links is an error, too
+        steady = moving if rows.has_model else moving & calm_half(rows, starts, moving)
+        usual, step = float(np.median(largest[moving])), float(np.percentile(largest[steady], 90))
         if step > times * usual and step > 0.5 * float(predicted[judged].std()):
-            share = float((largest > 0.5 * step).mean())
+            share = float((largest[moving] > 0.5 * step).mean())
             evidence = f"off by {step:.3g} {x.unit} in {share:.0%} of the motion, by {usual:.2g} {x.unit} usually"
             advice = (
                 "pushes, a second load or a faulty signal that no label names: label or cut these times, or record "
                 "motion that nothing touches"
             )
             yield Finding("torque-changes", "fault", x.joints[j], evidence, advice)
+
+
+def calm_half(rows: FitRows, starts: np.ndarray, moving: np.ndarray) -> np.ndarray:
+    """Half of the moving half seconds, (half seconds,) bool: in which no joint accelerates or turns as fast as else."""
+    powers = (rows.acceleration**2, rows.dq**2)
+    sizes = [x / np.maximum((x**2).mean(axis=0), 1e-12) ** 0.5 for x in powers]
+    liveliest = np.maximum.reduceat(np.maximum(*sizes).max(axis=1), starts)
+    calm: np.ndarray = liveliest <= np.median(liveliest[moving])
+    return calm
 
 
 def closest_fit(rows: FitRows, joint: int, predicted: np.ndarray) -> np.ndarray:
@@ -295,7 +306,8 @@ def often_disturbed(rows: FitRows, joints: Sequence[str], unit: str, rules: Ofte
     for j in range(thin.joints):
         if moves[:, j].sum() < 2 * ContactRules().least_windows:
             continue
-        columns, torque = thin.columns(j), thin.tau[:, j]
+        of_load = np.abs(thin.gravity[:, j]) * np.tanh(thin.dq[:, j] / MOVING_RAD_S)  # friction that grows with gravity
+        columns, torque = np.column_stack([thin.columns(j), of_load]), thin.tau[:, j]
         predicted = columns @ joint_fit.robust_solve(columns, torque)[0]
         for _ in range(rules.steps):
             error = np.bincount(half, np.abs(torque - predicted)) / size
